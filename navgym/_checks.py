@@ -1,0 +1,64 @@
+"""Checks of a user's input: each error names the field, the value and the remedy."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def one_of(kind: str, name: object, choices: Iterable[str]) -> str:
+    """Return `name` if it is among `choices`; else raise ValueError with the nearest match."""
+    known = list(choices)
+    if isinstance(name, str) and name in known:
+        return name
+    near = difflib.get_close_matches(str(name).lower().replace("_", "-"), known, n=1, cutoff=0.5)
+    near = near or difflib.get_close_matches(str(name), known, n=1, cutoff=0.5)
+    hint = f" Did you mean {near[0]!r}?" if near else ""
+    raise ValueError(f"unknown {kind} {name!r}.{hint} Known: {', '.join(sorted(known))}.")
+
+
+def real_array(field: str, value: ArrayLike, finite: bool = True) -> Array:
+    """`value` as a new float64 array; ValueError if it is not numeric or (by default) not finite."""
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{field} must be an array of numbers, got {value!r}: {error}") from None
+    if finite and not np.isfinite(array).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise ValueError(
+            f"{field} must be finite, got {array[where]} at index {where}: remove or repair it."
+        )
+    return array
+
+
+def shaped(field: str, array: NDArray[Any], shape: tuple[int, ...], because: str) -> None:
+    """Raise ValueError unless `array` has `shape`."""
+    if array.shape != shape:
+        raise ValueError(f"{field} must have shape {shape} ({because}), got {array.shape}.")
+
+
+def covariance(field: str, value: Array, definite: bool) -> None:
+    """Raise ValueError unless the trailing matrices of `value` are symmetric and (semi-)definite."""
+    scale = max(float(np.abs(value).max(initial=0.0)), 1e-300)
+    if not np.allclose(value, np.swapaxes(value, -1, -2), rtol=0, atol=1e-9 * scale):
+        raise ValueError(f"{field} must be symmetric, got\n{value}\nUse ({field} + {field}.T) / 2.")
+    smallest = float(np.linalg.eigvalsh(value).min())
+    if smallest <= 0.0 if definite else smallest < -1e-9 * scale:
+        kind = "positive definite" if definite else "positive semi-definite"
+        raise ValueError(
+            f"{field} must be {kind}, but its smallest eigenvalue is {smallest:.3g}: "
+            "a covariance needs positive variances and correlations inside (-1, 1)."
+        )
+
+
+def positive_int(field: str, value: object, least: int = 1) -> int:
+    """`value` as an int; ValueError unless it is a whole number of at least `least`."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        raise ValueError(f"{field} must be a whole number of at least {least}, got {value!r}.")
+    return int(value)

@@ -1,0 +1,91 @@
+"""Recordings stacked for the kernels, and the arrays that kernels write to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navgym._checks import Array
+from navgym.recording import Recording
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Recordings of one model size, stacked for the kernels; shorter ones end in lost samples."""
+
+    y: Array
+    lost: NDArray[np.bool_]
+    time: Array
+    models: NDArray[Any]
+    scales: Array | None
+    truth: Array | None
+    lengths: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, recordings: Sequence[Recording]) -> Batch:
+        """Stack `recordings`; ValueError if there is none or if their models differ in size."""
+        if not recordings:
+            raise ValueError("recordings must hold at least one Recording, got none.")
+        sizes = {(type(r.model).__name__, r.model.n, r.model.m) for r in recordings}
+        if len(sizes) > 1:
+            raise ValueError(f"recordings must share one model size, got {sorted(sizes)}: split them.")
+        lengths = np.array([len(r) for r in recordings])
+        longest = int(lengths.max())
+        packed = [r.model.pack() for r in recordings]
+        varies = any(len(p) > 1 for p in packed)
+        models = np.stack([stretch(p, longest) if varies else p for p in packed])
+        scaled = all(r.process_scale is not None and r.measurement_scale is not None for r in recordings)
+        scales = None
+        if scaled:
+            pairs = [np.stack([r.process_scale, r.measurement_scale], -1) for r in recordings]
+            scales = np.stack([stretch(p, longest) for p in pairs])
+        known = all(r.truth is not None for r in recordings)
+        return cls(
+            y=np.stack([_pad(r.measurements, longest, np.nan) for r in recordings]),
+            lost=np.stack([_pad(r.lost, longest, True) for r in recordings]),
+            time=np.stack([_later(r.time, longest) for r in recordings]),
+            models=models,
+            scales=scales,
+            truth=np.stack([_pad(r.truth, longest, np.nan) for r in recordings]) if known else None,
+            lengths=lengths,
+        )
+
+    def __len__(self) -> int:
+        return len(self.y)
+
+    def without_scales(self) -> Batch:
+        """The same batch for a filter that must not know the true noise."""
+        return replace(self, scales=None)
+
+
+def _pad(array: NDArray[Any], length: int, value: Any) -> NDArray[Any]:
+    if len(array) == length:
+        return array
+    tail = np.full((length - len(array), *array.shape[1:]), value, dtype=array.dtype)
+    return np.concatenate([array, tail])
+
+
+def stretch(array: NDArray[Any], length: int) -> NDArray[Any]:
+    """`array` repeated along its last row to `length` rows."""
+    return array[np.minimum(np.arange(length), len(array) - 1)]
+
+
+def _later(time: Array, length: int) -> Array:
+    return np.concatenate([time, time[-1] + np.arange(1.0, length - len(time) + 1)])
+
+
+def outputs(batch: Batch, n: int, m: int, everything: bool) -> dict[str, Array]:
+    """Empty output arrays for the kernels; those not asked for have length 0."""
+    count, steps = batch.y.shape[:2]
+    rest = steps if everything else 0
+    return {
+        "states": np.empty((count, steps, n)),
+        "covariances": np.empty((count, rest, n, n)),
+        "innovations": np.empty((count, rest, m)),
+        "nis": np.empty((count, rest)),
+        "log_likelihood": np.empty((count, rest)),
+    }

@@ -1,0 +1,149 @@
+"""Run a filter over recordings: the one road from (recording, parameters) to an estimate."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from navgym._checks import Array, one_of, positive_int
+from navgym.batch import Batch, stretch
+from navgym.filters.catalogue import CATALOGUE, Filter
+from navgym.parameters import ParameterSpace
+from navgym.recording import Recording
+
+DECISION_INTERVAL = 5  # filter steps per row of a parameter schedule, as in the environments
+
+Parameters = Mapping[str, Any] | ArrayLike | None
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What a filter made of one recording.
+
+    Args:
+        states: (T, n) posterior means; NaN after a numerical failure.
+        covariances: (T, n, n) posterior covariances.
+        innovations: (T, m) measurement minus its prediction; NaN where lost.
+        nis: (T,) normalised innovation squared under the predicted covariance, chi-square with as
+            many degrees of freedom as components were received; NaN where nothing was.
+        log_likelihood: (T,) of each innovation, same convention.
+        diverged: True after a numerical failure, or once the innovations have grown to a hundred
+            times what the model's measurement noise explains.
+        extras: further outputs of some filters, such as a bank's mode weights.
+    """
+
+    states: Array
+    covariances: Array
+    innovations: Array
+    nis: Array
+    log_likelihood: Array
+    diverged: bool
+    extras: Mapping[str, Array] = field(default_factory=dict)
+
+
+def filters() -> dict[str, str]:
+    """Every filter's name and one line on it."""
+    return {f.name: f.summary for f in CATALOGUE.values()}
+
+
+def find(filter_name: str) -> Filter:
+    """The catalogue's entry; ValueError with the nearest name if there is none."""
+    return CATALOGUE[one_of("filter", filter_name, CATALOGUE)]
+
+
+def parameter_space(filter_name: str) -> ParameterSpace:
+    """What can be tuned in a filter."""
+    return find(filter_name).space
+
+
+def estimate(
+    filter_name: str,
+    recording: Recording,
+    parameters: Parameters = None,
+    decision_interval: int = DECISION_INTERVAL,
+) -> Estimate:
+    """Run one filter over one recording.
+
+    Args:
+        filter_name: a name of `navgym.filters()`.
+        recording: what was measured.
+        parameters: a dict of tunables (missing ones at their defaults); its values may be lists
+            with one number per decision interval, or the whole may be an array (intervals,
+            parameters) in the order of `navgym.parameter_space`: a schedule. Its last row holds
+            to the end.
+        decision_interval: samples per row of a schedule.
+
+    Raises:
+        ValueError: unknown filter or parameter, a value outside its range, a recording that the
+            filter cannot use.
+    """
+    batch = Batch.of([recording])
+    result = run(filter_name, batch, parameters, decision_interval, everything=True)
+    return Estimate(
+        states=result["states"][0],
+        covariances=result["covariances"][0],
+        innovations=result["innovations"][0],
+        nis=result["nis"][0],
+        log_likelihood=result["log_likelihood"][0],
+        diverged=bool(result["diverged"][0]),
+        extras={name: result[name][0] for name in result if name not in _STANDARD},
+    )
+
+
+_STANDARD = ("states", "covariances", "innovations", "nis", "log_likelihood", "diverged")
+
+
+def run(
+    filter_name: str,
+    batch: Batch,
+    parameters: Parameters | Sequence[Mapping[str, Any]] = None,
+    decision_interval: int = DECISION_INTERVAL,
+    everything: bool = False,
+) -> dict[str, Array]:
+    """Run one filter over a batch: arrays (N, T, ...) named as in `Estimate`.
+
+    Args:
+        filter_name: a name of `navgym.filters()`.
+        batch: stacked recordings.
+        parameters: as in `estimate` for all of them, or a list with one dict per recording.
+        decision_interval: samples per row of a schedule.
+        everything: False computes `states` and `diverged` only.
+    """
+    chosen = find(filter_name)
+    positive_int("decision_interval", decision_interval)
+    if chosen.needs_scales and batch.scales is None:
+        raise ValueError(
+            f"filter {filter_name!r} needs the true noise scales, which only simulated recordings "
+            "carry: use process_scale and measurement_scale of Recording, or another filter."
+        )
+    family = importlib.import_module(f"navgym.filters.{chosen.family}")
+    table = _parameter_table(chosen.space, parameters, batch, decision_interval)
+    outputs: dict[str, Array] = family.estimate(chosen, batch, table, decision_interval, everything)
+    return outputs
+
+
+def _parameter_table(
+    space: ParameterSpace, parameters: Any, batch: Batch, decision_interval: int
+) -> Array:
+    """Parameters as (N or 1, intervals, columns), checked."""
+    steps = batch.y.shape[1]
+    per_lane = isinstance(parameters, (list, tuple)) and all(
+        isinstance(p, Mapping) for p in parameters
+    )
+    if per_lane and len(parameters) not in (1, len(batch)):
+        raise ValueError(f"parameters must hold one dict per recording, got {len(parameters)}.")
+    rows = [space.array(p) for p in parameters] if per_lane else [space.array(parameters)]
+    most = -(-steps // decision_interval)
+    for row in rows:
+        if len(row) > most:
+            raise ValueError(
+                f"a schedule for {steps} samples at decision_interval={decision_interval} has at "
+                f"most {most} rows, got {len(row)}."
+            )
+    longest = max(len(row) for row in rows)
+    return np.stack([stretch(row, longest) for row in rows])

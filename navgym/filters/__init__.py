@@ -1,0 +1,1 @@
+"""Filters: compiled kernels, and the catalogue that names them."""

@@ -1,0 +1,45 @@
+"""Every filter by name: what it is, what can be tuned, and the kernel that runs it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import ModuleType, MappingProxyType
+from typing import Any
+
+from navgym.filters import spaces
+from navgym.parameters import ParameterSpace
+
+
+@dataclass(frozen=True)
+class Filter:
+    """One entry of the catalogue.
+
+    Args:
+        name: as given to `navgym.estimate`.
+        summary: one line for listings.
+        space: what can be tuned.
+        family: name of the module in `navgym.filters` that holds its kernels.
+        option: what the family's kernels need to know beyond parameters (a fill, a mode set).
+        needs_scales: whether it reads the true noise scales of a simulated recording.
+    """
+
+    name: str
+    summary: str
+    space: ParameterSpace
+    family: str
+    option: Any = 0
+    needs_scales: bool = False
+
+
+_ALL = (
+    Filter("kf", "Kalman filter, predicts only where a measurement is lost", spaces.KALMAN, "kalman", 0),
+    Filter("kf_zero", "Kalman filter that takes a lost measurement for a zero: the straw man", spaces.KALMAN, "kalman", 3),
+    Filter("kf_hold", "Kalman filter that repeats the last received value", spaces.KALMAN, "kalman", 2),
+    Filter("kf_extrapolate", "Kalman filter with quadratic fill at its true variance", spaces.KALMAN_FILL, "kalman", 1),
+    Filter("oracle", "Kalman filter that knows the true Q and R of each sample", spaces.NONE, "kalman", 0, needs_scales=True),
+    Filter("vbakf", "variational-Bayes filter, predicts only where a measurement is lost", spaces.VBAKF, "qivbf"),
+    Filter("qivbf", "variational-Bayes filter with quadratic fill: QIVBF, corrected", spaces.QIVBF, "qivbf"),
+)  # fmt: skip
+
+CATALOGUE: Mapping[str, Filter] = MappingProxyType({f.name: f for f in _ALL})

@@ -1,0 +1,50 @@
+"""The tunables of every filter, declared once; rows stand in the order of the kernels' columns."""
+
+from __future__ import annotations
+
+from navgym.parameters import Parameter, ParameterSpace
+
+PROCESS = Parameter(
+    "process_noise_scale", "q", "1", 0.1, 1000.0, "log", 1.0, equation="multiplies Q (QIVBF table 2)"
+)
+MEASUREMENT = Parameter(
+    "measurement_noise_scale", "r", "1", 0.01, 1000.0, "log", 1.0,
+    equation="multiplies R (QIVBF table 2)",
+)  # fmt: skip
+INFLATION = Parameter(
+    "fill_inflation", "c", "1", 1.0, 100.0, "log", 1.0,
+    equation="multiplies the fill's variance Σl² R (QIVBF eq. 28, corrected)",
+)  # fmt: skip
+
+KALMAN = ParameterSpace((PROCESS, MEASUREMENT))
+KALMAN_FILL = ParameterSpace((PROCESS, MEASUREMENT, INFLATION))
+NONE = ParameterSpace(())
+
+_VB = (
+    Parameter(
+        "vb_iterations", "N_VB", "1", 1, 20, "linear", 5, integer=True, equation="QIVBF table 1",
+    ),
+    Parameter(
+        "prior_count", "τ", "1", 0.1, 300.0, "log", 5.0,
+        equation="weight of P⁻ in P̂ (QIVBF eq. 34, 37, corrected)",
+    ),
+    Parameter(
+        "forgetting", "ρ", "1", 0.6, 0.999, "log-complement", 0.97,
+        equation="ν⁻ = ρν, U⁻ = ρU (not in the paper; Huang et al. 2018)",
+    ),
+    Parameter(
+        "initial_count", "ν0", "1", 1.0, 100.0, "log", 5.0,
+        equation="first count of R̂ (QIVBF table 1, init, corrected)",
+    ),
+    Parameter(
+        "initial_scale", "r0", "1", 0.01, 100.0, "log", 1.0,
+        equation="first R̂ over R (QIVBF table 1, init, corrected)",
+    ),
+    PROCESS,
+)  # fmt: skip
+FILL = Parameter(
+    "fill", "fill", "1", 0, 1, "linear", 0, integer=True, choices=("skip", "extrapolate"),
+    equation="what a lost sample becomes (QIVBF eq. 27-28, corrected)",
+)  # fmt: skip
+VBAKF = ParameterSpace(_VB)
+QIVBF = ParameterSpace((*_VB, FILL, INFLATION))

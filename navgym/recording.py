@@ -1,0 +1,203 @@
+"""A recording: what was measured, what was lost, and (where it is known) what was true."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navgym._checks import Array, real_array, shaped
+from navgym.models import Model, model_from_arrays
+
+FORMAT = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Measurements of one voyage, with the model that a filter is to believe.
+
+    Args:
+        time: (T,) s, strictly increasing.
+        measurements: (T, m); NaN counts as lost.
+        lost: (T, m) or (T,) bool, True where nothing was received; None: only where NaN.
+        truth: (T, n) true states, or None.
+        regime: (T,) whole-number labels of the true regime, for analysis only, or None.
+        model: the filter's model; the constant-velocity model of QIVBF table 2 by default.
+        meta: anything that JSON can hold: where the recording comes from, regime names.
+        process_scale: (T,) true multiple of the model's Q in the step to each sample, or None.
+        measurement_scale: (T,) true multiple of the model's R at each sample, or None.
+
+    Raises:
+        ValueError: naming the field, the value and the remedy.
+
+    Arrays are copied and read-only. Lost measurements are stored as NaN.
+    """
+
+    time: Any
+    measurements: Any
+    lost: Any = None
+    truth: Any = None
+    regime: Any = None
+    model: Any = None
+    meta: Mapping[str, Any] = field(default_factory=dict)
+    process_scale: Any = None
+    measurement_scale: Any = None
+
+    def __post_init__(self) -> None:
+        time = _checked_time(self.time)
+        steps = len(time)
+        y = real_array("measurements", self.measurements, finite=False)
+        if y.ndim != 2 or y.shape[0] != steps:
+            raise ValueError(
+                f"measurements must have shape ({steps}, m), a row per time, got {y.shape}."
+            )
+        lost = _checked_lost(self.lost, y)
+        if np.isinf(y[~lost]).any():
+            k = int(np.argwhere(np.isinf(y) & ~lost)[0, 0])
+            raise ValueError(
+                f"measurements must be finite or NaN, got inf at sample {k}: mark it in `lost`."
+            )
+        y[lost] = np.nan
+        model = self.model if self.model is not None else _default_model(time, y.shape[1])
+        _check_model(model, y.shape, steps)
+        arrays: dict[str, Any] = {"time": time, "measurements": y, "lost": lost}
+        if self.truth is not None:
+            arrays["truth"] = real_array("truth", self.truth)
+            shaped("truth", arrays["truth"], (steps, model.n), "a state per sample")
+        if self.regime is not None:
+            arrays["regime"] = np.array(self.regime, dtype=np.int64)
+            shaped("regime", arrays["regime"], (steps,), "a label per sample")
+        for name in ("process_scale", "measurement_scale"):
+            if getattr(self, name) is not None:
+                arrays[name] = real_array(name, getattr(self, name))
+                shaped(name, arrays[name], (steps,), "a factor per sample")
+        for name, array in arrays.items():
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+        object.__setattr__(self, "model", model)
+        object.__setattr__(self, "meta", json.loads(_json(self.meta)))
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def loss_rate(self) -> float:
+        """Share of measurement components that were lost."""
+        return float(self.lost.mean())
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the recording as npz, atomically and without pickle; returns the path."""
+        arrays = {name: getattr(self, name) for name in _ARRAYS if getattr(self, name) is not None}
+        arrays |= {f"model.{name}": value for name, value in self.model.arrays().items()}
+        arrays["header"] = np.array(json.dumps({"navgym": FORMAT, "meta": dict(self.meta)}))
+        target = Path(path)
+        with tempfile.NamedTemporaryFile(dir=target.parent, suffix=".tmp", delete=False) as file:
+            try:
+                np.savez_compressed(file, **arrays)
+                file.flush()
+                os.fsync(file.fileno())
+            except BaseException:
+                Path(file.name).unlink(missing_ok=True)
+                raise
+        Path(file.name).replace(target)
+        return target
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Recording:
+        """Read what `save` wrote. ValueError for a truncated, foreign or newer file."""
+        arrays = _read_npz(path)
+        model = {k.removeprefix("model."): v for k, v in arrays.items() if k.startswith("model.")}
+        header = json.loads(str(arrays["header"]))
+        if header.get("navgym") != FORMAT:
+            raise ValueError(f"{path}: format {header.get('navgym')}, this navgym reads {FORMAT}.")
+        fields = {name: arrays[name] for name in _ARRAYS if name in arrays}
+        return cls(**fields, model=model_from_arrays(model), meta=header["meta"])
+
+
+_ARRAYS = (
+    "time", "measurements", "lost", "truth", "regime", "process_scale", "measurement_scale",
+)  # fmt: skip
+
+
+def _read_npz(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+    except (ValueError, EOFError, OSError, zipfile.BadZipFile, KeyError) as error:
+        if isinstance(error, FileNotFoundError):
+            raise
+        raise ValueError(
+            f"{path} is not a navgym recording or is truncated ({error}). "
+            "Use a file that Recording.save wrote, or navgym.read for other formats."
+        ) from error
+    if "header" not in arrays or "time" not in arrays:
+        raise ValueError(
+            f"{path} is an npz file but not a navgym recording: it holds {sorted(arrays)[:8]}."
+        )
+    return arrays
+
+
+def _json(meta: Mapping[str, Any]) -> str:
+    try:
+        return json.dumps(dict(meta))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"meta must hold only what JSON can write: {error}.") from None
+
+
+def _checked_time(value: Any) -> Array:
+    time = real_array("time", value)
+    if time.ndim != 1 or len(time) == 0:
+        raise ValueError(f"time must have shape (T,) with T of at least 1, got {time.shape}.")
+    steps = np.diff(time)
+    if (steps <= 0.0).any():
+        k = int(np.argmax(steps <= 0.0))
+        raise ValueError(
+            f"time must increase strictly, but time[{k}] = {time[k]} is followed by {time[k + 1]}: "
+            "sort the samples and drop duplicates."
+        )
+    return time
+
+
+def _checked_lost(value: Any, y: Array) -> NDArray[np.bool_]:
+    if value is None:
+        return np.isnan(y)
+    lost = np.array(value)
+    if lost.dtype != np.bool_ and not np.isin(lost, (0, 1)).all():
+        raise ValueError(f"lost must be booleans, True where nothing was received, got {lost.dtype}.")
+    lost = lost.astype(np.bool_)
+    if lost.shape == y.shape[:1]:
+        lost = np.repeat(lost[:, None], y.shape[1], axis=1)
+    shaped("lost", lost, y.shape, "a flag per measurement component")
+    return lost | np.isnan(y)
+
+
+def _default_model(time: Array, m: int) -> Model:
+    from navgym.models import LinearModel
+
+    if m != 4:
+        raise ValueError(
+            f"the default model measures [Px, Vx, Py, Vy], but measurements have {m} columns: "
+            "pass `model=`."
+        )
+    dt = np.diff(time, prepend=2 * time[0] - time[1]) if len(time) > 1 else np.ones(1)
+    uniform = np.allclose(dt, dt[0], rtol=1e-6)
+    return LinearModel(dt=float(np.median(dt)) if uniform else dt)
+
+
+def _check_model(model: Model, shape: tuple[int, ...], steps: int) -> None:
+    if not hasattr(model, "pack"):
+        raise TypeError(f"model must be a navgym.LinearModel or a turn model, got {type(model)}.")
+    if model.m != shape[1]:
+        raise ValueError(
+            f"measurements have {shape[1]} columns, but the model's H has {model.m} rows."
+        )
+    if model.steps not in (None, steps):
+        raise ValueError(f"the model changes over {model.steps} samples, the recording has {steps}.")

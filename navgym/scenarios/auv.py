@@ -1,0 +1,233 @@
+"""AUV scenarios: what happens to the vehicle, its sensors and its link (SCIENCE A4)."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from navgym._checks import one_of, positive_int
+from navgym.models import LinearModel
+
+
+@dataclass(frozen=True)
+class Loss:
+    """Which samples get lost: independently, in bursts (Gilbert-Elliott), and in planned outages.
+
+    Args:
+        rate: long-run share of lost samples, 0 to 1 (planned outages come on top).
+        length: mean length of a burst in samples; None for independent losses.
+        outages: number of planned outages, spread evenly over the recording.
+        outage_length: samples per planned outage.
+        per_component: whether each measurement component is lost independently of the others.
+    """
+
+    rate: float = 0.0
+    length: float | None = None
+    outages: int = 0
+    outage_length: int = 30
+    per_component: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.rate <= 1.0:
+            raise ValueError(f"loss rate must lie in 0..1, got {self.rate}.")
+        if self.length is not None and self.length < max(1.0, self.rate / max(1 - self.rate, 1e-9)):
+            raise ValueError(
+                f"loss length must be at least 1 and rate/(1-rate) samples, got {self.length}."
+            )
+        positive_int("outages", self.outages, least=0)
+        positive_int("outage_length", self.outage_length)
+
+    @property
+    def transition(self) -> tuple[float, float]:
+        """Probability that a sample is lost after a received one, and after a lost one."""
+        if self.length is None or self.rate in (0.0, 1.0):
+            return self.rate, self.rate
+        stay = 1.0 - 1.0 / self.length
+        return (1.0 - stay) * self.rate / (1.0 - self.rate), stay
+
+
+@dataclass(frozen=True)
+class Regime:
+    """Conditions that hold for a while; scales multiply the covariances of the filter's model.
+
+    Args:
+        name: shown in plots and tables.
+        measurement_scale: true R over the model's R.
+        process_scale: true Q over the model's Q.
+        outlier_rate: probability that a sample's R is `outlier_scale` times larger still.
+        outlier_scale: that factor.
+        degrees: degrees of freedom of Student-t measurement noise; None for Gaussian noise.
+        loss: the losses of this regime; None for the scenario's own.
+    """
+
+    name: str = "nominal"
+    measurement_scale: float = 1.0
+    process_scale: float = 1.0
+    outlier_rate: float = 0.0
+    outlier_scale: float = 100.0
+    degrees: float | None = None
+    loss: Loss | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("measurement_scale", "process_scale", "outlier_scale"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} of regime {self.name!r} must be positive.")
+        if not 0.0 <= self.outlier_rate <= 1.0:
+            raise ValueError(f"outlier_rate must lie in 0..1, got {self.outlier_rate}.")
+        if self.degrees is not None and self.degrees <= 0.0:
+            raise ValueError(f"degrees must be positive, got {self.degrees}.")
+
+
+@dataclass(frozen=True)
+class Turns:
+    """Coordinated turns that the filter's model knows nothing of, between straight legs.
+
+    Args:
+        rate: least and largest turn rate, degrees per second, to either side.
+        dwell: least and largest duration of a turn or a leg, s.
+    """
+
+    rate: tuple[float, float] = (3.0, 9.0)
+    dwell: tuple[int, int] = (20, 60)
+
+
+@dataclass(frozen=True)
+class AUVScenario:
+    """One member of the catalogue; every field can be overridden (`navgym.simulate(..., loss=.5)`).
+
+    Args:
+        name: its name without the "auv/" in front.
+        summary: one line for listings.
+        steps: samples per recording.
+        dt: s between samples.
+        measured: "all", "position" or "velocity" components of [Px, Vx, Py, Vy].
+        loss: a `Loss`, or a number for independent losses at that rate.
+        regimes: the conditions that follow one another, the next drawn uniformly among the others.
+        dwell: least and largest number of samples spent in a regime.
+        turns: unmodelled turns, or None.
+        measurement_scale: multiplies every regime's measurement scale.
+        process_scale: multiplies every regime's process scale.
+        outlier_scale: replaces every regime's outlier scale, unless None.
+        manoeuvre_scale: replaces the process scale of every regime where it is above 1, unless None.
+        reference: QIVBF parameters that are best fixed ones here (the environment's zero line).
+    """
+
+    name: str
+    summary: str
+    steps: int = 500
+    dt: float = 1.0
+    measured: str = "all"
+    loss: Loss | float = Loss(0.3)
+    regimes: tuple[Regime, ...] = (Regime(),)
+    dwell: tuple[int, int] = (50, 150)
+    turns: Turns | None = None
+    measurement_scale: float = 1.0
+    process_scale: float = 1.0
+    outlier_scale: float | None = None
+    manoeuvre_scale: float | None = None
+    reference: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}), hash=False)
+
+    def __post_init__(self) -> None:
+        positive_int("steps", self.steps)
+        one_of("measured", self.measured, ("all", "position", "velocity"))
+        if not self.dt > 0.0:
+            raise ValueError(f"dt must be positive seconds, got {self.dt}.")
+        if not isinstance(self.loss, Loss):
+            object.__setattr__(self, "loss", Loss(float(self.loss)))
+        if not self.regimes:
+            raise ValueError("regimes must name at least one Regime.")
+        if len(self.dwell) != 2 or not 1 <= self.dwell[0] <= self.dwell[1]:
+            raise ValueError(f"dwell must be (least, largest) samples, got {self.dwell}.")
+        for name in ("measurement_scale", "process_scale"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}.")
+        object.__setattr__(self, "reference", MappingProxyType(dict(self.reference)))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        values["reference"] = dict(self.reference)
+        return _rebuild, (values,)
+
+    def override(self, **fields: Any) -> AUVScenario:
+        """The same scenario with some fields changed; ValueError for an unknown field."""
+        known = [f.name for f in dataclasses.fields(self)]
+        for name in fields:
+            one_of("scenario field", name, known)
+        return dataclasses.replace(self, **fields)
+
+    @property
+    def model(self) -> LinearModel:
+        """The model that filters are given: QIVBF table 2 with the scenario's `dt` and `measured`."""
+        rows = {"all": [0, 1, 2, 3], "position": [0, 2], "velocity": [1, 3]}[self.measured]
+        return LinearModel(dt=self.dt, H=np.eye(4)[rows])
+
+
+def _rebuild(values: dict[str, Any]) -> AUVScenario:
+    return AUVScenario(**values)
+
+
+CALM = Regime("calm", measurement_scale=0.25)
+NOMINAL = Regime("nominal")
+NOISY = Regime("noisy", measurement_scale=25.0)
+OUTLIER = Regime("outlier", outlier_rate=0.2)
+BURST = Regime("burst", loss=Loss(0.6, length=10))
+MANOEUVRE = Regime("manoeuvre", process_scale=100.0)
+
+
+def _catalogue() -> dict[str, AUVScenario]:
+    switching: dict[str, Any] = {"steps": 800, "loss": Loss(0.0), "dwell": (50, 150)}
+    members = [
+        AUVScenario("nominal", "model exact, 30 % independent loss: nothing beats predict-only"),
+        AUVScenario("paper", "the setting of QIVBF section 5, with 30 % independent loss", steps=100),
+        AUVScenario("burst", "losses in bursts of 20 samples on average", loss=Loss(0.3, length=20)),
+        AUVScenario("outage", "three planned outages of 30 samples", loss=Loss(0.0, outages=3)),
+        AUVScenario(
+            "tvr", "R switches between .25 and 25 times nominal", dwell=(75, 125),
+            regimes=(CALM, NOISY),
+        ),
+        AUVScenario("heavy", "10 % outliers of 100 times R", regimes=(Regime("heavy", outlier_rate=0.1),)),
+        AUVScenario("student", "Student-t noise with 3 degrees", regimes=(Regime("student", degrees=3.0),)),
+        AUVScenario("mismatch", "the vehicle manoeuvres: true Q is 100 times the model's", regimes=(MANOEUVRE,)),
+        AUVScenario("turn", "unmodelled coordinated turns", turns=Turns()),
+        AUVScenario("position-only", "no velocity is measured", measured="position"),
+        AUVScenario("component-loss", "each component is lost on its own", loss=Loss(0.3, per_component=True)),
+        AUVScenario(
+            "switch-A", "calm, noisy, outlier and burst follow one another",
+            regimes=(CALM, NOISY, OUTLIER, BURST), **switching,
+        ),
+        AUVScenario(
+            "switch-B", "calm, noisy, outlier, burst and manoeuvre follow one another",
+            regimes=(CALM, NOISY, OUTLIER, BURST, MANOEUVRE), **switching,
+        ),
+        AUVScenario(
+            "switch-D", "nominal, outlier and manoeuvre follow one another",
+            regimes=(NOMINAL, OUTLIER, MANOEUVRE), **switching,
+        ),
+    ]  # fmt: skip
+    return {s.name: s for s in members}
+
+
+CATALOGUE: Mapping[str, AUVScenario] = MappingProxyType(_catalogue())
+
+# Conditions that a filter or a policy was not tuned on (SCIENCE A5, A6): overrides by name.
+SHIFTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
+    {
+        "loss .3": {"loss": 0.3},
+        "loss .7": {"loss": 0.7},
+        "R x3": {"measurement_scale": 3.0},
+        "R x10": {"measurement_scale": 10.0},
+        "R /3": {"measurement_scale": 1.0 / 3.0},
+        "Q x3": {"process_scale": 3.0},
+        "R and Q x3": {"measurement_scale": 3.0, "process_scale": 3.0},
+        "dwell 20-60": {"dwell": (20, 60)},
+        "dwell 150-300": {"dwell": (150, 300)},
+        "outliers x50": {"outlier_scale": 50.0},
+        "outliers x200": {"outlier_scale": 200.0},
+        "manoeuvre Q x300": {"manoeuvre_scale": 300.0},
+    }
+)
