@@ -40,6 +40,10 @@ _ALL = (
     Filter("oracle", "Kalman filter that knows the true Q and R of each sample", spaces.NONE, "kalman", 0, needs_scales=True),
     Filter("vbakf", "variational-Bayes filter, predicts only where a measurement is lost", spaces.VBAKF, "qivbf"),
     Filter("qivbf", "variational-Bayes filter with quadratic fill: QIVBF, corrected", spaces.QIVBF, "qivbf"),
+    Filter("qivbf_printed", "QIVBF as printed, with the least additions that let it run: diverges", spaces.PRINTED, "qivbf_printed"),
+    Filter("imm", "interacting multiple models: 6 Kalman filters over R and Q scales", spaces.IMM, "bank", "imm"),
+    Filter("imm_wide", "interacting multiple models: 13 Kalman filters, R scales .1 to 300", spaces.IMM, "bank", "imm_wide"),
+    Filter("bank", "24 modes, R scale by regime, outliers within the step: the best estimate here", spaces.BANK, "bank", "bank"),
 )  # fmt: skip
 
 CATALOGUE: Mapping[str, Filter] = MappingProxyType({f.name: f for f in _ALL})

@@ -47,4 +47,29 @@ FILL = Parameter(
     equation="what a lost sample becomes (QIVBF eq. 27-28, corrected)",
 )  # fmt: skip
 VBAKF = ParameterSpace(_VB)
+PRINTED = ParameterSpace((_VB[0], _VB[1], _VB[3]))
 QIVBF = ParameterSpace((*_VB, FILL, INFLATION))
+
+_MODE_STAY = Parameter(
+    "mode_stay", "p_s", "1", 0.8, 0.9999, "log-complement", 0.97,
+    equation="probability that a mode stays (not in the paper; Blom & Bar-Shalom 1988)",
+)  # fmt: skip
+IMM = ParameterSpace((PROCESS, MEASUREMENT, _MODE_STAY))
+BANK = ParameterSpace(
+    (
+        PROCESS,
+        MEASUREMENT,
+        Parameter(
+            "scale_stay", "p_R", "1", 0.8, 0.9999, "log-complement", 0.995,
+            equation="probability that the R scale stays (not in the paper)",
+        ),
+        Parameter(
+            "regime_stay", "p_g", "1", 0.8, 0.9999, "log-complement", 0.985,
+            equation="probability that the regime stays (not in the paper)",
+        ),
+        Parameter(
+            "outlier_rate", "ε", "1", 0.0, 0.5, "linear", 0.2,
+            equation="probability of an outlier in the outlier regime (not in the paper)",
+        ),
+    )
+)  # fmt: skip

@@ -1,0 +1,533 @@
+"""Banks of Kalman filters over noise scales: interacting multiple models, and the outlier bank.
+
+Modes stand on a grid: A scales of R by B regimes. Their transition matrix is a Kronecker product
+of two leaks, so that mixing takes O(A B): along each axis a mode keeps its share, gives some to
+its neighbours and spreads the rest. Mixing is done in moments (weight, weighted mean, weighted
+second moment), which the transition maps linearly (Blom & Bar-Shalom 1988 in another order).
+
+Where an outlier may occur, it is a second Gaussian *within* the step, not a mode that persists:
+both updates are weighed by their likelihoods and collapsed to one by their moments.
+
+Where two axes have the same model and lose the same components, all modes keep one covariance for
+both (`axes` = 2); otherwise the state is treated as a whole (`axes` = 1). One kernel serves both.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navgym._checks import Array
+from navgym._compile import kernel, part
+from navgym.batch import Batch, outputs
+from navgym.filters.lane import (
+    LOG_2PI,
+    NUMERICAL,
+    expect,
+    fields,
+    padded,
+    receive,
+    report,
+    settle,
+    start,
+)
+from navgym.filters.linalg import predict
+from navgym.models import record
+
+if TYPE_CHECKING:
+    from navgym.filters.catalogue import Filter
+
+# columns of a parameter array
+PROCESS, MEASUREMENT, SCALE_STAY, REGIME_STAY, OUTLIER_RATE = range(5)
+OUTLIER_SCALE = 100.0
+LOST_LEAK = 0.2  # leaks are this much smaller across a lost sample, which tells nothing
+
+
+@dataclass(frozen=True)
+class ModeSet:
+    """The modes of a bank: scales[a] multiplies R, process[a][b] multiplies Q.
+
+    Args:
+        scales: multiples of R, one per row of the grid.
+        process: multiples of Q, (A, B).
+        outliers: whether regime b allows outliers, (B,).
+        prior: to what shares the regimes' leak flows, (B,).
+        near: share of the scales' leak that goes to the neighbouring rows.
+    """
+
+    scales: tuple[float, ...]
+    process: tuple[tuple[float, ...], ...]
+    outliers: tuple[bool, ...] = (False,)
+    prior: tuple[float, ...] = (1.0,)
+    near: float = 0.0
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Grid size (A, B)."""
+        return len(self.scales), len(self.prior)
+
+    def table(self) -> Array:
+        """Rows (R scale, Q scale, allows outliers, first weight) of the modes, (A·B, 4)."""
+        a, b = self.shape
+        prior = np.array(self.prior) / sum(self.prior)
+        return np.column_stack(
+            [
+                np.repeat(self.scales, b),
+                np.ravel(self.process),
+                np.tile(np.array(self.outliers, dtype=np.float64), a),
+                np.tile(prior, a) / a,
+            ]
+        )
+
+
+def _grid(scales: tuple[float, ...], process: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
+    return tuple(process for _ in scales)
+
+
+def _listed(pairs: tuple[tuple[float, float], ...]) -> ModeSet:
+    """Modes given one by one as (R scale, Q scale), each leaking evenly to all others."""
+    return ModeSet(tuple(r for r, _ in pairs), tuple((q,) for _, q in pairs))
+
+
+_SCALES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
+BANK = ModeSet(_SCALES, _grid(_SCALES, (1.0, 1.0, 100.0)), (False, True, False), (4.0, 2.0, 1.0), 0.1)
+IMM = _listed(((0.25, 1.0), (1.0, 1.0), (25.0, 1.0), (100.0, 1.0), (1.0, 100.0), (100.0, 100.0)))
+IMM_WIDE = _listed(
+    tuple((r, 1.0) for r in _SCALES) + tuple((r, 100.0) for r in (0.1, 0.3, 1.0, 3.0, 10.0))
+)
+MODE_SETS = {"bank": BANK, "imm": IMM, "imm_wide": IMM_WIDE}
+
+
+def lane_type(n: int, m: int, modes: ModeSet, axes: int) -> np.dtype[Any]:
+    """Record of one bank over n states and m measurements, `axes` of them sharing a covariance."""
+    f8 = np.float64
+    a, b = modes.shape
+    j, p, s = a * b, n // axes, m // axes
+    own = [
+        ("mean", f8, (j, p, axes)),
+        ("cov", f8, (j, p, p)),
+        ("weight", f8, (j,)),
+        ("weight_grid", f8, (a, b)),
+        ("moment", f8, (j, 1 + p * axes + p * p)),
+        ("total", f8, (1 + p * axes + p * p,)),
+        ("row", f8, (a, 1 + p * axes + p * p)),
+        # scratch of the modes' updates; a mode has a second branch where outliers are allowed
+        ("m_prior", f8, (p, axes)),
+        ("nis_mode", f8, (j, 2)),
+        ("root_det", f8, (j, 2)),
+        ("branch_m", f8, (j, 2, p, axes)),
+        ("branch_C", f8, (j, 2, p, p)),
+        ("HC", f8, (s, p)),
+        ("L", f8, (s, s)),
+        ("G", f8, (s, p)),
+        ("e", f8, (s, axes)),
+        ("FT", f8, (p, p)),
+    ]
+    return np.dtype(own + fields(n, m))
+
+
+def separable(models: NDArray[Any]) -> bool:
+    """Whether the packed models (K,) treat two halves of the state alike and apart."""
+    n, m = models["F"].shape[-1], models["H"].shape[-2]
+    if n % 2 or m % 2:
+        return False
+    for name in ("F", "H", "Q", "R", "P0"):
+        M = models[name]
+        r, c = M.shape[-2] // 2, M.shape[-1] // 2
+        apart = not M[:, :r, c:].any() and not M[:, r:, :c].any()
+        if not apart or not np.array_equal(M[:, :r, :c], M[:, r:, c:]):
+            return False
+    return True
+
+
+def half(models: NDArray[Any]) -> NDArray[Any]:
+    """The models of one axis of separable models."""
+    n, m = models["F"].shape[-1] // 2, models["H"].shape[-2] // 2
+    small = np.zeros(models.shape, record(n, m))
+    for name in ("F", "H", "Q", "R", "P0"):
+        r, c = small[name].shape[-2:]
+        small[name] = models[name][..., :r, :c]
+    small["x0"] = models["x0"][..., :n]
+    small["rows"] = models["rows"][..., :m]
+    return small
+
+
+def estimate(
+    chosen: Filter, batch: Batch, table: Array, interval: int, everything: bool
+) -> dict[str, Array]:
+    """Run the bank `chosen` over a batch; see `navgym.estimation.run`.
+
+    Which path a recording takes depends on that recording alone, so company changes nothing.
+    """
+    modes = MODE_SETS[chosen.option]
+    n, m = batch.models.dtype["x0"].shape[0], batch.y.shape[2]
+    found = outputs(batch, n, m, everything)
+    count, steps = batch.y.shape[:2]
+    a, b = modes.shape
+    found["weights"] = np.empty((count, steps if everything else 0, a, b))
+    found["diverged"] = np.empty(count, dtype=np.bool_)
+    table = padded(table, (1.0, 1.0, 0.97, 1.0, 0.0))
+    shared = np.array([_shares(batch, i) for i in range(count)])
+    for axes in (1, 2):
+        chosen_lanes = np.flatnonzero(shared == (axes == 2))
+        if len(chosen_lanes):
+            _run_group(batch, table, interval, modes, axes, chosen_lanes, found)
+    return found
+
+
+def _shares(batch: Batch, i: int) -> bool:
+    """Whether recording i keeps one covariance for both axes."""
+    half_m = batch.y.shape[2] // 2
+    alike = batch.y.shape[2] % 2 == 0
+    alike = alike and np.array_equal(batch.lost[i, :, :half_m], batch.lost[i, :, half_m:])
+    return alike and separable(batch.models[i])
+
+
+def _run_group(
+    batch: Batch,
+    table: Array,
+    interval: int,
+    modes: ModeSet,
+    axes: int,
+    chosen: NDArray[np.int64],
+    found: dict[str, Array],
+) -> None:
+    n, m = batch.models.dtype["x0"].shape[0], batch.y.shape[2]
+    models = batch.models[chosen]
+    lanes = np.zeros(len(chosen), lane_type(n, m, modes, axes))
+    begin(lanes, models, modes, axes)
+    mine = {name: array[chosen] for name, array in found.items() if name != "diverged"}
+    own_table = table if len(table) == 1 else table[chosen]
+    run(
+        lanes, models, half(models) if axes == 2 else models, batch.y[chosen], batch.lost[chosen],
+        own_table, interval, modes.table(), np.array(modes.prior) / sum(modes.prior), modes.near,
+        *mine.values(),
+    )  # fmt: skip
+    for name, array in mine.items():
+        found[name][chosen] = array
+    found["diverged"][chosen] = lanes["diverged"] > 0
+
+
+def begin(lanes: NDArray[Any], models: NDArray[Any], modes: ModeSet, axes: int) -> None:
+    """Put the lanes (N,) at the start: every mode at x0, P0, weights at their prior."""
+    start(lanes, models)
+    p = lanes["cov"].shape[-1]
+    x0 = models["x0"][:, 0].reshape(len(lanes), axes, p)
+    lanes["mean"] = np.swapaxes(x0, 1, 2)[:, None]
+    lanes["cov"] = models["P0"][:, 0, :p, :p][:, None]
+    lanes["weight"] = modes.table()[:, 3]
+
+
+@part
+def gather(lane):
+    """Moments of the modes about the bank's mean: weight, w d, w (P + d dᵀ averaged over axes)."""
+    J, p, axes = lane.mean.shape
+    for j in range(J):
+        w = lane.weight[j]
+        lane.moment[j, 0] = w
+        for i in range(p):
+            for g in range(axes):
+                lane.moment[j, 1 + i * axes + g] = w * (lane.mean[j, i, g] - lane.x[g * p + i])
+        for i in range(p):
+            for k in range(p):
+                s = 0.0
+                for g in range(axes):
+                    s += (lane.mean[j, i, g] - lane.x[g * p + i]) * (
+                        lane.mean[j, k, g] - lane.x[g * p + k]
+                    )
+                lane.moment[j, 1 + p * axes + i * p + k] = w * (lane.cov[j, i, k] + s / axes)
+
+
+@part
+def leak_scales(lane, stay, near):
+    """Along the R scales: keep `stay`, give `near` of the rest to neighbours, spread what is left."""
+    A, B = lane.weight_grid.shape
+    K = lane.total.shape[0]
+    leak = 1.0 - stay
+    even = leak * (1.0 - near) / A
+    for b in range(B):
+        for c in range(K):
+            s = 0.0
+            for a in range(A):
+                lane.row[a, c] = lane.moment[a * B + b, c]
+                s += lane.row[a, c]
+            lane.total[c] = s
+        for a in range(A):
+            below = 0.0 if a == 0 else leak * near * (1.0 if a == 1 else 0.5)
+            above = 0.0 if a == A - 1 else leak * near * (1.0 if a == A - 2 else 0.5)
+            for c in range(K):
+                s = stay * lane.row[a, c] + even * lane.total[c]
+                if a > 0:
+                    s += below * lane.row[a - 1, c]
+                if a < A - 1:
+                    s += above * lane.row[a + 1, c]
+                lane.moment[a * B + b, c] = s
+
+
+@part
+def leak_regimes(lane, stay, prior):
+    """Along the regimes: keep `stay`, let the rest flow to the prior shares."""
+    A, B = lane.weight_grid.shape
+    for a in range(A):
+        for c in range(lane.total.shape[0]):
+            s = 0.0
+            for b in range(B):
+                s += lane.moment[a * B + b, c]
+            for b in range(B):
+                j = a * B + b
+                lane.moment[j, c] = stay * lane.moment[j, c] + (1.0 - stay) * prior[b] * s
+
+
+@part
+def scatter(lane):
+    """Each mode's mixed mean and covariance from its moments."""
+    J, p, axes = lane.mean.shape
+    for j in range(J):
+        w = lane.moment[j, 0]
+        lane.weight[j] = w
+        d = 1.0 / max(w, 1e-300)
+        for i in range(p):
+            for g in range(axes):
+                lane.m_prior[i, g] = lane.moment[j, 1 + i * axes + g] * d
+        for i in range(p):
+            for k in range(p):
+                s = 0.0
+                for g in range(axes):
+                    s += lane.m_prior[i, g] * lane.m_prior[k, g]
+                lane.cov[j, i, k] = lane.moment[j, 1 + p * axes + i * p + k] * d - s / axes
+        for i in range(p):
+            for g in range(axes):
+                lane.mean[j, i, g] = lane.x[g * p + i] + lane.m_prior[i, g]
+
+
+@part
+def predict_mode(lane, small, j, q):
+    """m⁻ = F m, C⁻ = F C Fᵀ + q Q of mode j, in place."""
+    p, axes = lane.m_prior.shape
+    for i in range(p):
+        for g in range(axes):
+            s = 0.0
+            for k in range(p):
+                s += small.F[i, k] * lane.mean[j, k, g]
+            lane.m_prior[i, g] = s
+    for i in range(p):
+        for k in range(p):
+            s = 0.0
+            for h in range(p):
+                s += small.F[i, h] * lane.cov[j, h, k]
+            lane.FT[i, k] = s
+    for i in range(p):
+        for k in range(i + 1):
+            s = q * small.Q[i, k]
+            for h in range(p):
+                s += lane.FT[i, h] * small.F[k, h]
+            lane.cov[j, i, k] = s
+            lane.cov[j, k, i] = s
+    for i in range(p):
+        for g in range(axes):
+            lane.mean[j, i, g] = lane.m_prior[i, g]
+
+
+@part
+def update_mode(lane, small, j, branch, r):
+    """Kalman update of mode j under r R into `branch`; notes its NIS and √|S|. False if S fails."""
+    p, axes = lane.m_prior.shape
+    s_count = lane.L.shape[0]
+    ok = True
+    for i in range(s_count):
+        for k in range(p):
+            s = 0.0
+            if small.rows[i] >= 0:
+                s = lane.cov[j, small.rows[i], k]
+            else:
+                for h in range(p):
+                    s += small.H[i, h] * lane.cov[j, h, k]
+            lane.HC[i, k] = s
+    root = 1.0
+    nis = 0.0
+    for i in range(s_count):
+        for k in range(i + 1):
+            s = 0.0
+            if lane.use[i] and lane.use[k]:
+                s = r * small.R[i, k]
+                for h in range(p):
+                    s += lane.HC[i, h] * small.H[k, h]
+            elif i == k:
+                s = 1.0
+            for h in range(k):
+                s -= lane.L[i, h] * lane.L[k, h]
+            if i == k:
+                if not s > 0.0:
+                    ok = False
+                lane.L[i, i] = math.sqrt(max(s, 1e-300))
+            else:
+                lane.L[i, k] = s / lane.L[k, k]
+        d = 1.0 / lane.L[i, i]
+        root *= d
+        for g in range(axes):
+            s = 0.0
+            if lane.use[i]:
+                s = lane.y[g * s_count + i]
+                for h in range(p):
+                    s -= small.H[i, h] * lane.mean[j, h, g]
+            for h in range(i):
+                s -= lane.L[i, h] * lane.e[h, g]
+            lane.e[i, g] = s * d
+            nis += lane.e[i, g] * lane.e[i, g]
+        for k in range(p):
+            s = lane.HC[i, k] if lane.use[i] else 0.0
+            for h in range(i):
+                s -= lane.L[i, h] * lane.G[h, k]
+            lane.G[i, k] = s * d
+    for i in range(p):
+        for g in range(axes):
+            s = lane.mean[j, i, g]
+            for h in range(s_count):
+                s += lane.G[h, i] * lane.e[h, g]
+            lane.branch_m[j, branch, i, g] = s
+        for k in range(i + 1):
+            s = lane.cov[j, i, k]
+            for h in range(s_count):
+                s -= lane.G[h, i] * lane.G[h, k]
+            lane.branch_C[j, branch, i, k] = s
+            lane.branch_C[j, branch, k, i] = s
+    density = root
+    for _ in range(1, axes):
+        density *= root
+    lane.nis_mode[j, branch] = nis
+    lane.root_det[j, branch] = density
+    return ok
+
+
+@part
+def collapse(lane, j, share):
+    """Mode j's two branches, the second of weight `share`, as one Gaussian of the same moments."""
+    p, axes = lane.m_prior.shape
+    for i in range(p):
+        for g in range(axes):
+            a, b = lane.branch_m[j, 0, i, g], lane.branch_m[j, 1, i, g]
+            lane.mean[j, i, g] = a + share * (b - a)
+    for i in range(p):
+        for k in range(p):
+            s = 0.0
+            for g in range(axes):
+                s += (lane.branch_m[j, 1, i, g] - lane.branch_m[j, 0, i, g]) * (
+                    lane.branch_m[j, 1, k, g] - lane.branch_m[j, 0, k, g]
+                )
+            a, b = lane.branch_C[j, 0, i, k], lane.branch_C[j, 1, i, k]
+            lane.cov[j, i, k] = a + share * (b - a) + share * (1.0 - share) * s / axes
+
+
+@part
+def update_modes(lane, small, modes, r, rate, received):
+    """Update every mode and its weight by the sample; the mixture's log-likelihood is noted."""
+    J = lane.weight.shape[0]
+    p, axes = lane.m_prior.shape
+    least = math.inf
+    for j in range(J):
+        if not update_mode(lane, small, j, 0, r * modes[j, 0]):
+            lane.diverged = NUMERICAL
+        least = min(least, lane.nis_mode[j, 0])
+        if modes[j, 2] > 0.0 and rate > 0.0:
+            if not update_mode(lane, small, j, 1, r * modes[j, 0] * OUTLIER_SCALE):
+                lane.diverged = NUMERICAL
+            least = min(least, lane.nis_mode[j, 1])
+    total = 0.0
+    for j in range(J):
+        likelihood = lane.root_det[j, 0] * math.exp(0.5 * (least - lane.nis_mode[j, 0]))
+        if modes[j, 2] > 0.0 and rate > 0.0:
+            other = rate * lane.root_det[j, 1] * math.exp(0.5 * (least - lane.nis_mode[j, 1]))
+            likelihood = (1.0 - rate) * likelihood + other
+            collapse(lane, j, other / max(likelihood, 1e-300))
+        else:
+            for i in range(p):
+                for g in range(axes):
+                    lane.mean[j, i, g] = lane.branch_m[j, 0, i, g]
+                for k in range(p):
+                    lane.cov[j, i, k] = lane.branch_C[j, 0, i, k]
+        lane.weight[j] *= likelihood
+        total += lane.weight[j]
+    if not total > 0.0:
+        lane.diverged = NUMERICAL
+    for j in range(J):
+        lane.weight[j] /= total
+    lane.log_likelihood = math.log(max(total, 1e-300)) - 0.5 * (least + received * LOG_2PI)
+
+
+@part
+def combine(lane):
+    """The bank's estimate: mean and covariance of the mixture."""
+    J, p, axes = lane.mean.shape
+    n = lane.x.shape[0]
+    for g in range(axes):
+        for i in range(p):
+            s = 0.0
+            for j in range(J):
+                s += lane.weight[j] * lane.mean[j, i, g]
+            lane.x[g * p + i] = s
+    for i in range(n):
+        for k in range(n):
+            lane.P[i, k] = 0.0
+    for j in range(J):
+        w = lane.weight[j]
+        for g in range(axes):
+            for i in range(p):
+                for k in range(p):
+                    lane.P[g * p + i, g * p + k] += w * lane.cov[j, i, k]
+                d = w * (lane.mean[j, i, g] - lane.x[g * p + i])
+                for h in range(axes):
+                    for k in range(p):
+                        lane.P[g * p + i, h * p + k] += d * (lane.mean[j, k, h] - lane.x[h * p + k])
+
+
+@kernel
+def step(lane, model, small, modes, prior, near, received, q, r, scale_stay, regime_stay, rate):
+    """One sample: mix, predict, judge, update, combine. The sample lies in the lane (`receive`)."""
+    m = lane.y.shape[0]
+    fade = 1.0 if received > 0 else LOST_LEAK
+    gather(lane)
+    leak_scales(lane, 1.0 - fade * (1.0 - scale_stay), near)
+    if lane.weight_grid.shape[1] > 1:
+        leak_regimes(lane, 1.0 - fade * (1.0 - regime_stay), prior)
+    scatter(lane)
+    mean_q, mean_r = 0.0, 0.0
+    for j in range(lane.weight.shape[0]):
+        mean_q += lane.weight[j] * modes[j, 1]
+        mean_r += lane.weight[j] * modes[j, 0] * (1.0 + modes[j, 2] * rate * (OUTLIER_SCALE - 1.0))
+        predict_mode(lane, small, j, q * modes[j, 1])
+    predict(lane, model, q * mean_q)
+    for i in range(m):
+        for j in range(m):
+            lane.R_used[i, j] = r * mean_r * model.R[i, j]
+    expect(lane, model, received)
+    if received > 0:
+        update_modes(lane, small, modes, r, rate, received)
+    combine(lane)
+    settle(lane)
+
+
+@kernel
+def run(
+    lanes, models, smalls, y, lost, parameters, interval, modes, prior, near,
+    states, covariances, innovations, nis, log_likelihoods, weights,
+):  # fmt: skip
+    """Filter every series with parameters (N or 1, intervals, 5)."""
+    for i in range(lanes.shape[0]):
+        lane = lanes[i]
+        p = min(i, parameters.shape[0] - 1)
+        for k in range(y.shape[1]):
+            row = parameters[p, min(k // interval, parameters.shape[1] - 1)]
+            now = min(k, models.shape[1] - 1)
+            received = receive(lane, y, lost, i, k)
+            step(
+                lane, models[i, now], smalls[i, now], modes, prior, near, received, row[PROCESS],
+                row[MEASUREMENT], row[SCALE_STAY], row[REGIME_STAY], row[OUTLIER_RATE],
+            )  # fmt: skip
+            report(lane, i, k, states, covariances, innovations, nis, log_likelihoods)
+            if weights.shape[1] > 0:
+                for j in range(lane.weight.shape[0]):
+                    weights[i, k, j // weights.shape[3], j % weights.shape[3]] = lane.weight[j]
