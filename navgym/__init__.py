@@ -2,7 +2,7 @@
 
 Names load on first use, so `import navgym` stays quick: `simulate`, `scenarios`, `seeds`, `read`,
 `estimate`, `filters`, `parameter_space`, and the data classes `Recording`, `LinearModel`,
-`Estimate`, `Parameter`, `ParameterSpace`. Importing the package registers its environments.
+`CoordinatedTurnModel`, `Estimate`, `Parameter`, `ParameterSpace`. Importing the package registers its environments.
 """
 
 from __future__ import annotations
@@ -10,9 +10,12 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from navgym.envs import register_all
+
 __version__ = "0.1.0"
 
 _HOME = {
+    "CoordinatedTurnModel": "navgym.turn_model",
     "Estimate": "navgym.estimation",
     "LinearModel": "navgym.models",
     "Parameter": "navgym.parameters",
@@ -21,20 +24,38 @@ _HOME = {
     "estimate": "navgym.estimation",
     "filters": "navgym.estimation",
     "parameter_space": "navgym.estimation",
+    "read": "navgym.readers",
     "scenarios": "navgym.simulation",
     "seeds": "navgym.scenarios.seeds",
     "simulate": "navgym.simulation",
 }
 
-__all__ = [*_HOME, "__version__"]
+__all__ = [
+    "CoordinatedTurnModel",
+    "Estimate",
+    "LinearModel",
+    "Parameter",
+    "ParameterSpace",
+    "Recording",
+    "__version__",
+    "estimate",
+    "filters",
+    "parameter_space",
+    "read",
+    "scenarios",
+    "seeds",
+    "simulate",
+]
 
 if TYPE_CHECKING:
     from navgym.estimation import Estimate, estimate, filters, parameter_space
     from navgym.models import LinearModel
     from navgym.parameters import Parameter, ParameterSpace
+    from navgym.readers import read
     from navgym.recording import Recording
     from navgym.scenarios.seeds import seeds
     from navgym.simulation import scenarios, simulate
+    from navgym.turn_model import CoordinatedTurnModel
 
 
 def __getattr__(name: str) -> Any:
@@ -47,3 +68,6 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted(__all__)
+
+
+register_all()

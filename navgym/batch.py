@@ -32,13 +32,17 @@ class Batch:
             raise ValueError("recordings must hold at least one Recording, got none.")
         sizes = {(type(r.model).__name__, r.model.n, r.model.m) for r in recordings}
         if len(sizes) > 1:
-            raise ValueError(f"recordings must share one model size, got {sorted(sizes)}: split them.")
+            raise ValueError(
+                f"recordings must share one model size, got {sorted(sizes)}: split them."
+            )
         lengths = np.array([len(r) for r in recordings])
         longest = int(lengths.max())
         packed = [r.model.pack() for r in recordings]
         varies = any(len(p) > 1 for p in packed)
         models = np.stack([stretch(p, longest) if varies else p for p in packed])
-        scaled = all(r.process_scale is not None and r.measurement_scale is not None for r in recordings)
+        scaled = all(
+            r.process_scale is not None and r.measurement_scale is not None for r in recordings
+        )
         scales = None
         if scaled:
             pairs = [np.stack([r.process_scale, r.measurement_scale], -1) for r in recordings]

@@ -116,6 +116,7 @@ def run(
     """
     chosen = find(filter_name)
     positive_int("decision_interval", decision_interval)
+    _check_linear(chosen, batch)
     if chosen.needs_scales and batch.scales is None:
         raise ValueError(
             f"filter {filter_name!r} needs the true noise scales, which only simulated recordings "
@@ -125,6 +126,17 @@ def run(
     table = _parameter_table(chosen.space, parameters, batch, decision_interval)
     outputs: dict[str, Array] = family.estimate(chosen, batch, table, decision_interval, everything)
     return outputs
+
+
+def _check_linear(chosen: Filter, batch: Batch) -> None:
+    """ValueError where a filter for linear models is given another one."""
+    if chosen.nonlinear or "H" in (batch.models.dtype.names or ()):
+        return
+    able = ", ".join(f.name for f in CATALOGUE.values() if f.nonlinear)
+    raise ValueError(
+        f"filter {chosen.name!r} needs a LinearModel, but the recording's model is nonlinear: "
+        f"use one of {able}, or give the recording a LinearModel of what it measures."
+    )
 
 
 def _parameter_table(

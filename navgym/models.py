@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navgym._checks import Array, covariance, real_array
+from navgym._checks import Array, covariance, one_of, real_array
+
+if TYPE_CHECKING:
+    from navgym.turn_model import CoordinatedTurnModel
 
 TABLE_2_Q = 1e-3 * np.diag([1.0, 0.5, 1.0, 0.5])  # QIVBF table 2
 
@@ -59,6 +62,8 @@ class LinearModel:
     position: Any = None
     velocity: Any = None
 
+    angles: ClassVar[tuple[int, ...]] = ()  # measurements in rad that wrap
+
     def __post_init__(self) -> None:
         if self.F is not None and self.dt is not None:
             raise ValueError(f"give F or dt, not both: F={self.F!r}, dt={self.dt!r}.")
@@ -69,19 +74,23 @@ class LinearModel:
             raise ValueError(f"F must be a square matrix (n, n) or (T, n, n), got {F.shape}.")
         n = F.shape[-1]
         default = default or n == 4
-        H = _matrix("H", np.eye(n) if self.H is None else self.H, (None, n), "n columns")
+        H = check_matrix("H", np.eye(n) if self.H is None else self.H, (None, n), "n columns")
         m = H.shape[-2]
-        Q = _matrix("Q", _default(self.Q, TABLE_2_Q if default else np.eye(n)), (n, n), "n x n")
-        R = _matrix("R", _default(self.R, np.eye(m)), (m, m), "one row per measurement")
+        Q = check_matrix(
+            "Q", _default(self.Q, TABLE_2_Q if default else np.eye(n)), (n, n), "n x n"
+        )
+        R = check_matrix("R", _default(self.R, np.eye(m)), (m, m), "one row per measurement")
         x0_default = np.array([0.0, 1.0, 0.0, 1.0]) if default else np.zeros(n)
-        x0 = _vector("x0", _default(self.x0, x0_default), n)
-        P0 = _matrix("P0", _default(self.P0, np.eye(n)), (n, n), "n x n", stack=False)
+        x0 = check_vector("x0", _default(self.x0, x0_default), n)
+        P0 = check_matrix("P0", _default(self.P0, np.eye(n)), (n, n), "n x n", stack=False)
         covariance("Q", Q, definite=False)
         covariance("R", R, definite=True)
         covariance("P0", P0, definite=True)
         lengths = {a.shape[0] for a in (F, H, Q, R) if a.ndim == 3}
         if len(lengths) > 1:
-            raise ValueError(f"F, H, Q, R with a time axis must agree on its length, got {lengths}.")
+            raise ValueError(
+                f"F, H, Q, R with a time axis must agree on its length, got {lengths}."
+            )
         fields = {"F": F, "H": H, "Q": Q, "R": R, "x0": x0, "P0": P0}
         for name, array in fields.items():
             array.flags.writeable = False
@@ -109,7 +118,8 @@ class LinearModel:
             acceleration: standard deviation, m/s².
             position_noise: standard deviation of a position fix, m.
             velocity_noise: of a velocity, m/s; None if no velocity is measured.
-            x0: initial state (4,); P0: its covariance (4, 4), the identity by default.
+            x0: initial state, (4,).
+            P0: its covariance, (4, 4); the identity by default.
         """
         step = real_array("dt", dt)
         gain = np.stack([step**2 / 2, step], axis=-1)
@@ -138,6 +148,11 @@ class LinearModel:
         lengths = [a.shape[0] for a in (self.F, self.H, self.Q, self.R) if a.ndim == 3]
         return lengths[0] if lengths else None
 
+    def observe(self, states: ArrayLike) -> Array:
+        """Noise-free measurements H x of `states` (n,) or (T, n): (m,) or (T, m)."""
+        seen: Array = (self.H @ real_array("states", states)[..., None])[..., 0]
+        return seen
+
     def pack(self) -> NDArray[Any]:
         """The model as records of `record(n, m)`, shape (1,) or (T,), for the kernels."""
         records = np.zeros(self.steps or 1, record(self.n, self.m))
@@ -146,19 +161,27 @@ class LinearModel:
         records["rows"] = _selected(records["H"])
         return records
 
-
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The model as plain arrays, for a file; `model_from_arrays` reads them back."""
         names = ("F", "H", "Q", "R", "x0", "P0", "position", "velocity")
-        return {"kind": np.array("linear")} | {name: np.asarray(getattr(self, name)) for name in names}
+        return {"kind": np.array("linear")} | {
+            name: np.asarray(getattr(self, name)) for name in names
+        }
 
 
-Model = LinearModel
+Model: TypeAlias = "LinearModel | CoordinatedTurnModel"
 
 
 def model_from_arrays(arrays: dict[str, NDArray[Any]]) -> Model:
-    """The model that `arrays()` described."""
-    return LinearModel(**{name: value for name, value in arrays.items() if name != "kind"})
+    """The model that `arrays()` described; ValueError for a kind that this navgym lacks."""
+    from navgym.turn_model import CoordinatedTurnModel
+
+    kinds: dict[str, type[LinearModel | CoordinatedTurnModel]] = {
+        "linear": LinearModel,
+        "coordinated-turn": CoordinatedTurnModel,
+    }
+    kind = one_of("model kind", str(arrays["kind"]), kinds)
+    return kinds[kind](**{name: value for name, value in arrays.items() if name != "kind"})
 
 
 def record(n: int, m: int) -> np.dtype[Any]:
@@ -188,9 +211,10 @@ def _default(value: Any, default: Array) -> Any:
     return default if value is None else value
 
 
-def _matrix(
+def check_matrix(
     field: str, value: Any, shape: tuple[int | None, int], because: str, stack: bool = True
 ) -> Array:
+    """`value` as a new float64 array of `shape`, or a stack of such; ValueError naming the field."""
     array = real_array(field, value)
     rows, columns = shape
     right = array.ndim in ((2, 3) if stack else (2,)) and array.shape[-1] == columns
@@ -200,10 +224,11 @@ def _matrix(
     return array
 
 
-def _vector(field: str, value: Any, length: int) -> Array:
+def check_vector(field: str, value: Any, length: int, because: str = "one per state") -> Array:
+    """`value` as a new float64 array (length,); ValueError naming the field."""
     array = real_array(field, value)
     if array.shape != (length,):
-        raise ValueError(f"{field} must have shape ({length},), one per state, got {array.shape}.")
+        raise ValueError(f"{field} must have shape ({length},), {because}, got {array.shape}.")
     return array
 
 

@@ -48,7 +48,9 @@ class Parameter:
     def __post_init__(self) -> None:
         one_of("scale", self.scale, SCALES)
         if not self.low <= self.default <= self.high:
-            raise ValueError(f"{self.name}: default {self.default} outside {self.low}..{self.high}.")
+            raise ValueError(
+                f"{self.name}: default {self.default} outside {self.low}..{self.high}."
+            )
 
     def check(self, value: Any) -> float:
         """`value` (a number, or the name of a choice) as a float inside the range.
@@ -179,7 +181,9 @@ class ParameterSpace:
         """Each parameter's place in its warped range, 0 to 1, shape (parameters,)."""
         row = self.array(values)[0]
         pairs = zip(self.parameters, row, strict=True)
-        return np.array([(p.warp(v) - p.warp(p.low)) / (p.warp(p.high) - p.warp(p.low)) for p, v in pairs])
+        return np.array(
+            [(p.warp(v) - p.warp(p.low)) / (p.warp(p.high) - p.warp(p.low)) for p, v in pairs]
+        )
 
     def from_unit(self, unit: ArrayLike) -> dict[str, Any]:
         """Values at `unit` (parameters,), each in 0 to 1: the inverse of `to_unit`."""
@@ -189,6 +193,18 @@ class ParameterSpace:
             value = min(max(value, p.low), p.high)
             found[p.name] = p.show(round(value) if p.integer else value)
         return found
+
+    def markdown(self) -> str:
+        """A table of the parameters, for manuals."""
+        lines = [
+            "| parameter | symbol | range | scale | default | where |",
+            "|---|---|---|---|---|---|",
+        ]
+        for p in self.parameters:
+            span = ", ".join(p.choices) if p.choices else f"{p.low:g} to {p.high:g}"
+            cells = (f"`{p.name}`", p.symbol, span, p.scale, p.show(p.default), p.equation)
+            lines.append(f"| {' | '.join(str(cell) for cell in cells)} |")
+        return "\n".join(lines)
 
     @property
     def fingerprint(self) -> str:

@@ -171,7 +171,9 @@ def _checked_lost(value: Any, y: Array) -> NDArray[np.bool_]:
         return np.isnan(y)
     lost = np.array(value)
     if lost.dtype != np.bool_ and not np.isin(lost, (0, 1)).all():
-        raise ValueError(f"lost must be booleans, True where nothing was received, got {lost.dtype}.")
+        raise ValueError(
+            f"lost must be booleans, True where nothing was received, got {lost.dtype}."
+        )
     lost = lost.astype(np.bool_)
     if lost.shape == y.shape[:1]:
         lost = np.repeat(lost[:, None], y.shape[1], axis=1)
@@ -194,10 +196,12 @@ def _default_model(time: Array, m: int) -> Model:
 
 def _check_model(model: Model, shape: tuple[int, ...], steps: int) -> None:
     if not hasattr(model, "pack"):
-        raise TypeError(f"model must be a navgym.LinearModel or a turn model, got {type(model)}.")
-    if model.m != shape[1]:
-        raise ValueError(
-            f"measurements have {shape[1]} columns, but the model's H has {model.m} rows."
+        raise TypeError(
+            f"model must be a navgym.LinearModel or a navgym.CoordinatedTurnModel, got {type(model)}."
         )
+    if model.m != shape[1]:
+        raise ValueError(f"measurements have {shape[1]} columns, but the model measures {model.m}.")
     if model.steps not in (None, steps):
-        raise ValueError(f"the model changes over {model.steps} samples, the recording has {steps}.")
+        raise ValueError(
+            f"the model changes over {model.steps} samples, the recording has {steps}."
+        )

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 # columns of a parameter array
 PROCESS, MEASUREMENT, SCALE_STAY, REGIME_STAY, OUTLIER_RATE = range(5)
 OUTLIER_SCALE = 100.0
+MAX_MODES = 24
 LOST_LEAK = 0.2  # leaks are this much smaller across a lost sample, which tells nothing
 
 
@@ -102,19 +103,21 @@ IMM_WIDE = _listed(
 MODE_SETS = {"bank": BANK, "imm": IMM, "imm_wide": IMM_WIDE}
 
 
-def lane_type(n: int, m: int, modes: ModeSet, axes: int) -> np.dtype[Any]:
-    """Record of one bank over n states and m measurements, `axes` of them sharing a covariance."""
+def lane_type(n: int, m: int, axes: int) -> np.dtype[Any]:
+    """Record of one bank over n states and m measurements, `axes` of them sharing a covariance.
+
+    It has room for `MAX_MODES` modes, so that all mode sets share one compiled kernel.
+    """
     f8 = np.float64
-    a, b = modes.shape
-    j, p, s = a * b, n // axes, m // axes
+    j, p, s = MAX_MODES, n // axes, m // axes
     own = [
         ("mean", f8, (j, p, axes)),
         ("cov", f8, (j, p, p)),
         ("weight", f8, (j,)),
-        ("weight_grid", f8, (a, b)),
+        ("grid", np.int64, (2,)),  # numbers of R scales and of regimes
         ("moment", f8, (j, 1 + p * axes + p * p)),
         ("total", f8, (1 + p * axes + p * p,)),
-        ("row", f8, (a, 1 + p * axes + p * p)),
+        ("row", f8, (j, 1 + p * axes + p * p)),
         # scratch of the modes' updates; a mode has a second branch where outliers are allowed
         ("m_prior", f8, (p, axes)),
         ("nis_mode", f8, (j, 2)),
@@ -198,7 +201,7 @@ def _run_group(
 ) -> None:
     n, m = batch.models.dtype["x0"].shape[0], batch.y.shape[2]
     models = batch.models[chosen]
-    lanes = np.zeros(len(chosen), lane_type(n, m, modes, axes))
+    lanes = np.zeros(len(chosen), lane_type(n, m, axes))
     begin(lanes, models, modes, axes)
     mine = {name: array[chosen] for name, array in found.items() if name != "diverged"}
     own_table = table if len(table) == 1 else table[chosen]
@@ -219,13 +222,15 @@ def begin(lanes: NDArray[Any], models: NDArray[Any], modes: ModeSet, axes: int) 
     x0 = models["x0"][:, 0].reshape(len(lanes), axes, p)
     lanes["mean"] = np.swapaxes(x0, 1, 2)[:, None]
     lanes["cov"] = models["P0"][:, 0, :p, :p][:, None]
-    lanes["weight"] = modes.table()[:, 3]
+    lanes["grid"] = modes.shape
+    lanes["weight"][:, : len(modes.table())] = modes.table()[:, 3]
 
 
 @part
 def gather(lane):
     """Moments of the modes about the bank's mean: weight, w d, w (P + d dᵀ averaged over axes)."""
-    J, p, axes = lane.mean.shape
+    J = lane.grid[0] * lane.grid[1]
+    _, p, axes = lane.mean.shape
     for j in range(J):
         w = lane.weight[j]
         lane.moment[j, 0] = w
@@ -245,7 +250,7 @@ def gather(lane):
 @part
 def leak_scales(lane, stay, near):
     """Along the R scales: keep `stay`, give `near` of the rest to neighbours, spread what is left."""
-    A, B = lane.weight_grid.shape
+    A, B = lane.grid[0], lane.grid[1]
     K = lane.total.shape[0]
     leak = 1.0 - stay
     even = leak * (1.0 - near) / A
@@ -271,7 +276,7 @@ def leak_scales(lane, stay, near):
 @part
 def leak_regimes(lane, stay, prior):
     """Along the regimes: keep `stay`, let the rest flow to the prior shares."""
-    A, B = lane.weight_grid.shape
+    A, B = lane.grid[0], lane.grid[1]
     for a in range(A):
         for c in range(lane.total.shape[0]):
             s = 0.0
@@ -285,7 +290,8 @@ def leak_regimes(lane, stay, prior):
 @part
 def scatter(lane):
     """Each mode's mixed mean and covariance from its moments."""
-    J, p, axes = lane.mean.shape
+    J = lane.grid[0] * lane.grid[1]
+    _, p, axes = lane.mean.shape
     for j in range(J):
         w = lane.moment[j, 0]
         lane.weight[j] = w
@@ -425,7 +431,7 @@ def collapse(lane, j, share):
 @part
 def update_modes(lane, small, modes, r, rate, received):
     """Update every mode and its weight by the sample; the mixture's log-likelihood is noted."""
-    J = lane.weight.shape[0]
+    J = lane.grid[0] * lane.grid[1]
     p, axes = lane.m_prior.shape
     least = math.inf
     for j in range(J):
@@ -461,7 +467,8 @@ def update_modes(lane, small, modes, r, rate, received):
 @part
 def combine(lane):
     """The bank's estimate: mean and covariance of the mixture."""
-    J, p, axes = lane.mean.shape
+    J = lane.grid[0] * lane.grid[1]
+    _, p, axes = lane.mean.shape
     n = lane.x.shape[0]
     for g in range(axes):
         for i in range(p):
@@ -491,11 +498,11 @@ def step(lane, model, small, modes, prior, near, received, q, r, scale_stay, reg
     fade = 1.0 if received > 0 else LOST_LEAK
     gather(lane)
     leak_scales(lane, 1.0 - fade * (1.0 - scale_stay), near)
-    if lane.weight_grid.shape[1] > 1:
+    if lane.grid[1] > 1:
         leak_regimes(lane, 1.0 - fade * (1.0 - regime_stay), prior)
     scatter(lane)
     mean_q, mean_r = 0.0, 0.0
-    for j in range(lane.weight.shape[0]):
+    for j in range(lane.grid[0] * lane.grid[1]):
         mean_q += lane.weight[j] * modes[j, 1]
         mean_r += lane.weight[j] * modes[j, 0] * (1.0 + modes[j, 2] * rate * (OUTLIER_SCALE - 1.0))
         predict_mode(lane, small, j, q * modes[j, 1])
@@ -529,5 +536,5 @@ def run(
             )  # fmt: skip
             report(lane, i, k, states, covariances, innovations, nis, log_likelihoods)
             if weights.shape[1] > 0:
-                for j in range(lane.weight.shape[0]):
+                for j in range(lane.grid[0] * lane.grid[1]):
                     weights[i, k, j // weights.shape[3], j % weights.shape[3]] = lane.weight[j]

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from types import ModuleType, MappingProxyType
+from types import MappingProxyType
 from typing import Any
 
 from navgym.filters import spaces
@@ -22,6 +22,7 @@ class Filter:
         family: name of the module in `navgym.filters` that holds its kernels.
         option: what the family's kernels need to know beyond parameters (a fill, a mode set).
         needs_scales: whether it reads the true noise scales of a simulated recording.
+        nonlinear: whether it takes any model, and not only a LinearModel.
     """
 
     name: str
@@ -30,6 +31,7 @@ class Filter:
     family: str
     option: Any = 0
     needs_scales: bool = False
+    nonlinear: bool = False
 
 
 _ALL = (
@@ -44,6 +46,10 @@ _ALL = (
     Filter("imm", "interacting multiple models: 6 Kalman filters over R and Q scales", spaces.IMM, "bank", "imm"),
     Filter("imm_wide", "interacting multiple models: 13 Kalman filters, R scales .1 to 300", spaces.IMM, "bank", "imm_wide"),
     Filter("bank", "24 modes, R scale by regime, outliers within the step: the best estimate here", spaces.BANK, "bank", "bank"),
+    Filter("ekf", "extended Kalman filter, with exact Jacobians", spaces.KALMAN, "nonlinear", 0, nonlinear=True),
+    Filter("ukf", "unscented Kalman filter with spread a", spaces.SIGMA, "nonlinear", 1, nonlinear=True),
+    Filter("ckf", "cubature Kalman filter: the unscented one at a = 1", spaces.KALMAN, "nonlinear", 1, nonlinear=True),
+    Filter("cukf", "unscented and cubature stages in turn: CUKF, corrected", spaces.SIGMA, "nonlinear", 2, nonlinear=True),
 )  # fmt: skip
 
 CATALOGUE: Mapping[str, Filter] = MappingProxyType({f.name: f for f in _ALL})

@@ -18,6 +18,7 @@ from navgym._checks import Array
 from navgym._compile import kernel, part
 from navgym.batch import Batch
 from navgym.filters.lane import (
+    apply_innovation,
     estimate_lanes,
     expect,
     fields,
@@ -73,11 +74,13 @@ def step(lane, model, t, received, q, r, fill, inflation):
     if fill >= HOLD:
         substitute(lane, fill)
         received = m
-    if received > 0:
+    if fill >= HOLD and received > 0:
         kalman_correct(lane, model)
+    elif received > 0:
+        apply_innovation(lane, model)
     else:
         keep_prediction(lane)
-    if fill != ZERO and fill != HOLD:
+    if fill < HOLD:
         remember(lane, t)
         if fill == EXTRAPOLATE and received < m:
             fill_correct(lane, model, t, inflation)

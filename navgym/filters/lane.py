@@ -62,18 +62,19 @@ def start(lanes: NDArray[Any], models: NDArray[Any]) -> None:
 
 def estimate_lanes(
     family: Any, batch: Batch, table: Array, interval: int, option: int, everything: bool
-) -> dict[str, Array]:
+) -> dict[str, Any]:
     """Run a family of filters (a module with `lane_type`, `begin`, `run`) over a batch."""
     n, m = batch.models.dtype["x0"].shape[0], batch.y.shape[2]
     lanes = np.zeros(len(batch), family.lane_type(n, m))
     family.begin(lanes, batch.models, table)
     scales = np.ones((len(batch), 1, 2)) if batch.scales is None else batch.scales
-    found = outputs(batch, n, m, everything)
+    found: dict[str, Any] = outputs(batch, n, m, everything)
     family.run(
         lanes, batch.models, batch.y, batch.lost, batch.time, scales, table, interval, option,
         *found.values(),
     )  # fmt: skip
-    return found | {"diverged": lanes["diverged"] > 0}
+    found["diverged"] = lanes["diverged"] > 0
+    return found
 
 
 def padded(table: Array, defaults: tuple[float, ...]) -> Array:
@@ -130,26 +131,38 @@ def expect(lane, model, received):
 
     Leaves S, W and z of `innovate` in the lane.
     """
-    m = lane.y.shape[0]
-    for j in range(m):
+    expect_nothing(lane)
+    if received > 0:
+        for j in range(lane.y.shape[0]):
+            if lane.use[j]:
+                lane.innovation[j] = lane.y[j] - observe_vector(model, j, lane.x_prior)
+        judge(lane, model, received, innovate(lane, model))
+
+
+@part
+def expect_nothing(lane):
+    """No innovation, NIS or log-likelihood yet: what a lost sample reports."""
+    for j in range(lane.y.shape[0]):
         lane.innovation[j] = math.nan
     lane.nis = math.nan
     lane.log_likelihood = math.nan
-    if received > 0:
-        power = 0.0
-        for j in range(m):
-            if lane.use[j]:
-                v = lane.y[j] - observe_vector(model, j, lane.x_prior)
-                lane.innovation[j] = v
-                power += v * v / model.R[j, j]
-        ok, nis, log_det = innovate(lane, model)
-        lane.nis = nis
-        lane.log_likelihood = -0.5 * (nis + log_det + received * LOG_2PI)
-        lane.power = POWER_MEMORY * lane.power + (1.0 - POWER_MEMORY) * power / received
-        if not ok:
-            lane.diverged = NUMERICAL
-        elif not lane.power < RUNAWAY_POWER and lane.diverged == 0:
-            lane.diverged = RUNAWAY
+
+
+@part
+def judge(lane, model, received, whitened):
+    """NIS, log-likelihood and health from the lane's innovation, and from what `whiten` returned."""
+    ok, nis, log_det = whitened
+    power = 0.0
+    for j in range(lane.y.shape[0]):
+        if lane.use[j]:
+            power += lane.innovation[j] ** 2 / model.R[j, j]
+    lane.nis = nis
+    lane.log_likelihood = -0.5 * (nis + log_det + received * LOG_2PI)
+    lane.power = POWER_MEMORY * lane.power + (1.0 - POWER_MEMORY) * power / received
+    if not ok:
+        lane.diverged = NUMERICAL
+    elif not lane.power < RUNAWAY_POWER and lane.diverged == 0:
+        lane.diverged = RUNAWAY
 
 
 @part
@@ -173,10 +186,16 @@ def settle(lane):
 def kalman_correct(lane, model):
     """One Joseph-form update of (x⁻, P⁻) by the used components under R_used."""
     ok, _, _ = innovate(lane, model)
-    correct(lane)
-    joseph(lane, model)
+    apply_innovation(lane, model)
     if not ok:
         lane.diverged = NUMERICAL
+
+
+@part
+def apply_innovation(lane, model):
+    """The update, in Joseph form, by what `innovate` or `expect` left in the lane."""
+    correct(lane)
+    joseph(lane, model)
 
 
 @part

@@ -11,6 +11,7 @@ import math
 
 from navgym._compile import inline, part
 
+
 @part
 def predict(lane, model, q):
     """x⁻ = F x, P⁻ = F P Fᵀ + q Q."""
@@ -77,11 +78,10 @@ def observe_entry(model, j, W, i):
     return s
 
 
-@part
-def cholesky(lane):
+@inline
+def factorise(S):
     """Overwrite the lower triangle of S by L, S = L Lᵀ; False if S is not positive definite."""
     ok = True
-    S = lane.S
     m = S.shape[0]
     for j in range(m):
         s = S[j, j]
@@ -98,6 +98,12 @@ def cholesky(lane):
                 s -= S[i, k] * S[j, k]
             S[i, j] = s * d
     return ok
+
+
+@part
+def cholesky(lane):
+    """`factorise` the lane's S."""
+    return factorise(lane.S)
 
 
 @part
@@ -126,6 +132,15 @@ def innovate(lane, model):
             S[i, i] = 1.0
             for j in range(n):
                 W[i, j] = 0.0
+    return whiten(lane)
+
+
+@part
+def whiten(lane):
+    """Overwrite S by its factor L, z by L⁻¹ z, W by L⁻¹ W; returns (ok, NIS, log |S|)."""
+    n = lane.x.shape[0]
+    m = lane.z.shape[0]
+    S, W, z = lane.S, lane.W, lane.z
     ok = cholesky(lane)
     nis = 0.0
     determinant = 1.0

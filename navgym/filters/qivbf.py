@@ -8,6 +8,7 @@ sample is predicted, or filled by the parabola through the last three received s
 
 from __future__ import annotations
 
+import math
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -45,7 +46,10 @@ from navgym.filters.linalg import (
 if TYPE_CHECKING:
     from navgym.filters.catalogue import Filter
 
-LEAST_COUNT = 1.0  # floor of ν⁻: a long outage must not forget all that is known of R
+LEAST_COUNT = 1.0  # floor of ν⁻
+# Losses alone never forget R below this count: with less, the wide P⁻ after a long outage passes for
+# noise, and the first measurements are distrusted (13-18 m for 20 samples where 0.8 m are possible).
+LEAST_COUNT_LOST = 10.0
 EXTRAPOLATE = 1
 
 # columns of a parameter array, in the order of the declared parameter space
@@ -58,8 +62,10 @@ def lane_type(n: int, m: int) -> np.dtype[Any]:
     extra = [
         ("R", f8, (m, m)),
         ("count", f8, ()),
+        ("variances", f8, (m,)),  # the model's own, at the last sample
         ("change", f8, ()),
         ("P_predicted", f8, (n, n)),
+        ("P_adapted", f8, (n,)),  # the diagonal of P̂ after the last sweep
         ("B", f8, (m, m)),
         ("residual", f8, (m,)),
         ("G", f8, (m, m)),
@@ -80,6 +86,20 @@ def begin(lanes: NDArray[Any], models: NDArray[Any], parameters: NDArray[Any]) -
     start(lanes, models)
     lanes["count"] = parameters[:, 0, COUNT0]
     lanes["R"] = parameters[:, 0, SCALE0, None, None] * models["R"][:, 0]
+    lanes["variances"] = np.diagonal(models["R"][:, 0], axis1=1, axis2=2)
+
+
+@part
+def follow_model(lane, model):
+    """Where the model's R changes over time, R̂ keeps its ratio to the model's variances."""
+    m = lane.y.shape[0]
+    for i in range(m):
+        if model.R[i, i] != lane.variances[i]:
+            d = math.sqrt(model.R[i, i] / lane.variances[i])
+            lane.variances[i] = model.R[i, i]
+            for j in range(m):
+                lane.R[i, j] *= d
+                lane.R[j, i] *= d
 
 
 @part
@@ -195,6 +215,8 @@ def adapt(lane, model, sweeps, tau, complete):
             lane.change += s * s / lane.P_predicted[i, i]
         correct(lane)
     joseph(lane, model)
+    for i in range(n):
+        lane.P_adapted[i] = lane.P_prior[i, i]
     for i in range(m):
         for j in range(m):
             lane.R[i, j] = lane.R_used[i, j]
@@ -206,7 +228,9 @@ def step(lane, model, t, received, sweeps, tau, rho, process, fill, inflation):
     """One sample: predict, forget, judge, adapt, fill. The sample lies in the lane (`receive`)."""
     m = lane.y.shape[0]
     predict(lane, model, process)
-    lane.count = max(rho * lane.count, LEAST_COUNT)
+    least = LEAST_COUNT if received > 0 else min(lane.count, LEAST_COUNT_LOST)
+    lane.count = max(rho * lane.count, least)
+    follow_model(lane, model)
     for i in range(m):
         for j in range(m):
             lane.R_used[i, j] = lane.R[i, j]

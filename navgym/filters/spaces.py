@@ -15,8 +15,13 @@ INFLATION = Parameter(
     "fill_inflation", "c", "1", 1.0, 100.0, "log", 1.0,
     equation="multiplies the fill's variance Σl² R (QIVBF eq. 28, corrected)",
 )  # fmt: skip
+SPREAD = Parameter(
+    "sigma_spread", "a", "1", 0.1, 2.0, "log", 0.775,
+    equation="QIVBF eq. 7; √(3/5) matches the fourth moment of five states",
+)  # fmt: skip
 
 KALMAN = ParameterSpace((PROCESS, MEASUREMENT))
+SIGMA = ParameterSpace((PROCESS, MEASUREMENT, SPREAD))
 KALMAN_FILL = ParameterSpace((PROCESS, MEASUREMENT, INFLATION))
 NONE = ParameterSpace(())
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -11,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from navgym._checks import one_of, positive_int
-from navgym.models import LinearModel
+from navgym.models import LinearModel, Model
+from navgym.turn_model import CoordinatedTurnModel
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,8 @@ class AUVScenario:
         summary: one line for listings.
         steps: samples per recording.
         dt: s between samples.
-        measured: "all", "position" or "velocity" components of [Px, Vx, Py, Vy].
+        measured: "all", "position" or "velocity" components of [Px, Vx, Py, Vy]; "beacon" for
+            range, bearing, speed and heading under the CoordinatedTurnModel.
         loss: a `Loss`, or a number for independent losses at that rate.
         regimes: the conditions that follow one another, the next drawn uniformly among the others.
         dwell: least and largest number of samples spent in a regime.
@@ -134,7 +137,12 @@ class AUVScenario:
 
     def __post_init__(self) -> None:
         positive_int("steps", self.steps)
-        one_of("measured", self.measured, ("all", "position", "velocity"))
+        one_of("measured", self.measured, ("all", "position", "velocity", "beacon"))
+        if self.measured == "beacon" and self.turns is not None:
+            raise ValueError(
+                f"turns={self.turns} are what a linear model knows nothing of, and "
+                'measured="beacon" brings a model that turns: leave one of them out.'
+            )
         if not self.dt > 0.0:
             raise ValueError(f"dt must be positive seconds, got {self.dt}.")
         if not isinstance(self.loss, Loss):
@@ -161,10 +169,17 @@ class AUVScenario:
         return dataclasses.replace(self, **fields)
 
     @property
-    def model(self) -> LinearModel:
+    def model(self) -> Model:
         """The model that filters are given: QIVBF table 2 with the scenario's `dt` and `measured`."""
-        rows = {"all": [0, 1, 2, 3], "position": [0, 2], "velocity": [1, 3]}[self.measured]
-        return LinearModel(dt=self.dt, H=np.eye(4)[rows])
+        return _model(self.dt, self.measured)
+
+
+@functools.lru_cache(maxsize=64)
+def _model(dt: float, measured: str) -> Model:
+    if measured == "beacon":
+        return CoordinatedTurnModel(dt=dt)
+    rows = {"all": [0, 1, 2, 3], "position": [0, 2], "velocity": [1, 3]}[measured]
+    return LinearModel(dt=dt, H=np.eye(4)[rows])
 
 
 def _rebuild(values: dict[str, Any]) -> AUVScenario:
@@ -194,6 +209,10 @@ def _catalogue() -> dict[str, AUVScenario]:
         AUVScenario("student", "Student-t noise with 3 degrees", regimes=(Regime("student", degrees=3.0),)),
         AUVScenario("mismatch", "the vehicle manoeuvres: true Q is 100 times the model's", regimes=(MANOEUVRE,)),
         AUVScenario("turn", "unmodelled coordinated turns", turns=Turns()),
+        AUVScenario(
+            "coordinated-turn", "range, bearing, speed and heading from a beacon; the model turns",
+            measured="beacon",
+        ),
         AUVScenario("position-only", "no velocity is measured", measured="position"),
         AUVScenario("component-loss", "each component is lost on its own", loss=Loss(0.3, per_component=True)),
         AUVScenario(

@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 
 from navgym._checks import Array
 from navgym._compile import kernel
+from navgym.models import Model, constant_velocity
 from navgym.recording import Recording
 from navgym.scenarios.auv import AUVScenario, Loss, Regime, Turns
 from navgym.scenarios.seeds import split_of
+from navgym.turn_model import CoordinatedTurnModel
 
 STREAM = 0xA0  # first word of every AUV seed sequence: other simulators take other words
 
@@ -29,6 +31,8 @@ def simulate(scenario: AUVScenario, seeds: Sequence[int]) -> list[Recording]:
     square_roots = [np.linalg.cholesky(m) for m in (model.P0, model.Q, model.R)]
     meta = {"scenario": f"auv/{scenario.name}", "regimes": [r.name for r in regimes]}
     time = scenario.dt * np.arange(1.0, scenario.steps + 1)
+    base = scenario.loss
+    assert isinstance(base, Loss)
     recordings = []
     for seed in seeds:
         split_of(seed)
@@ -43,8 +47,8 @@ def simulate(scenario: AUVScenario, seeds: Sequence[int]) -> list[Recording]:
         recordings.append(
             Recording(
                 time=time,
-                measurements=truth @ model.H.T + np.sqrt(r)[:, None] * v,
-                lost=_losses(scenario, regimes, regime, model.m, loss),
+                measurements=_wrapped(model.observe(truth) + np.sqrt(r)[:, None] * v, model),
+                lost=draw_losses(base, [r.loss or base for r in regimes], regime, model.m, loss),
                 truth=truth,
                 regime=regime,
                 model=model,
@@ -103,24 +107,34 @@ def _measurement_scales(
     return scale
 
 
+def _wrapped(measurements: Array, model: Model) -> Array:
+    """`measurements` (T, m) with the model's angles brought into [−π, π)."""
+    angles = list(model.angles)
+    measurements[:, angles] = (measurements[:, angles] + math.pi) % (2.0 * math.pi) - math.pi
+    return measurements
+
+
 def _track(
     scenario: AUVScenario,
-    model: object,
+    model: Model,
     square_roots: list[Array],
     q: Array,
     rng: np.random.Generator,
 ) -> Array:
     """True states: the model's own motion under q·Q, bent by turns if the scenario has them."""
-    from navgym.models import LinearModel
-
-    assert isinstance(model, LinearModel)
     x0 = model.x0 + square_roots[0] @ rng.standard_normal(model.n)
     w = rng.standard_normal((scenario.steps, model.n)) @ square_roots[1].T
     w *= np.sqrt(q)[:, None]
-    omega = _turn_rates(scenario.turns, scenario.steps, rng)
-    truth = np.empty((scenario.steps, model.n))
-    move(x0, np.ascontiguousarray(model.F), w, omega, scenario.dt, truth)
-    return truth
+    if isinstance(model, CoordinatedTurnModel):
+        omega = np.cumsum(np.append(x0[4], w[:, 4]))
+        F, x0, w = constant_velocity(scenario.dt), x0[:4], np.ascontiguousarray(w[:, :4])
+        before, after = omega[:-1], omega[1:, None]
+    else:
+        F, before = np.ascontiguousarray(model.F), _turn_rates(scenario.turns, scenario.steps, rng)
+        after = np.empty((scenario.steps, 0))
+    truth = np.empty((scenario.steps, F.shape[0]))
+    move(x0, F, w, before, scenario.dt, truth)
+    return np.concatenate([truth, after], axis=1)
 
 
 def _turn_rates(turns: Turns | None, steps: int, rng: np.random.Generator) -> Array:
@@ -157,23 +171,29 @@ def move(x0, F, w, omega, dt, truth):
             truth[k, 3] += sine * vx + (cosine - 1.0) * vy
 
 
-def _losses(
-    scenario: AUVScenario,
-    regimes: Sequence[Regime],
+def draw_losses(
+    base: Loss,
+    kinds: Sequence[Loss],
     regime: NDArray[np.int64],
     m: int,
     rng: np.random.Generator,
 ) -> NDArray[np.bool_]:
-    """Which components of which samples are lost."""
-    base = scenario.loss
-    assert isinstance(base, Loss)
-    kinds = [r.loss or base for r in regimes]
+    """Which components of which samples are lost, (T, m): also for real logs.
+
+    Args:
+        base: its planned outages hold whatever the regime.
+        kinds: the random losses of each regime.
+        regime: (T,) which of them holds at each sample.
+        m: number of measurement components.
+        rng: where the random numbers come from, T or T·m of them.
+    """
+    steps = len(regime)
     table = np.array([(*kind.transition, kind.rate) for kind in kinds])
     columns = m if any(kind.per_component for kind in kinds) else 1
-    lost = np.zeros((scenario.steps, columns), dtype=np.bool_)
-    lose(table, regime, rng.random((scenario.steps, columns)), lost)
+    lost = np.zeros((steps, columns), dtype=np.bool_)
+    lose(table, regime, rng.random((steps, columns)), lost)
     lost = np.repeat(lost, m // columns, axis=1) if columns == 1 else lost
-    gap = scenario.steps / max(base.outages, 1)
+    gap = steps / max(base.outages, 1)
     for i in range(base.outages):
         first = round((i + 0.5) * gap - base.outage_length / 2)
         lost[max(first, 0) : first + base.outage_length] = True

@@ -1,0 +1,377 @@
+"""Compiled core of the AUV environments: what a lane sees, does and earns in one decision.
+
+A *tape* is a recording made ready for an agent: beside each sample stand the squared error of the
+reference filter, the variance of the oracle and the features of a nominal Kalman filter that runs
+beside the controlled one. None of these depend on the agent, so they are computed once. A *station*
+is what one lane of the environment keeps between decisions, beside its filter.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from navgym._compile import inline, kernel, part
+from navgym.filters import kalman, qivbf
+from navgym.filters.lane import NUMERICAL, quadratic
+
+DECAYS = np.array([0.5, 0.8, 0.95])
+SIGNALS = 5  # per stream: NIS, alarm, correlation, power of positions, power of velocities
+STREAM = SIGNALS * len(DECAYS)
+FLOOR = 0.05  # keeps logarithms of squares finite
+ALARM = 5.0  # NIS per received component that counts as an alarm (20 for four components)
+LIMIT = 5.0  # observations are clipped to plus or minus this
+COMMON = 2 * len(DECAYS) + 5  # observations that belong to neither stream
+
+LOST_TRACK = 1e12  # squared error, m², of a reference filter that failed numerically
+
+DIFFERENCE, OVER_ORACLE, ABSOLUTE, LIKELIHOOD = range(4)
+# columns of a decision's outcome; the physical parameters follow
+REWARD, TERMINATED, TRUNCATED, RMSE, REFERENCE_RMSE, NIS, LOST, REGIME, TERM, INFO = range(10)
+RULE = np.dtype([("interval", np.int64), ("kind", np.int64), ("clip", np.float64)])
+
+
+def tape_type(n: int, m: int) -> np.dtype[Any]:
+    """Record of one sample of a prepared recording."""
+    f8 = np.float64
+    return np.dtype(
+        [
+            ("y", f8, (m,)),
+            ("lost", np.int64, (m,)),
+            ("time", f8),
+            ("truth", f8, (n,)),
+            ("regime", f8),
+            ("reference_error", f8),
+            ("oracle_variance", f8),
+            ("frozen", f8, (STREAM,)),
+            ("curvature", f8, (len(DECAYS),)),
+        ]
+    )
+
+
+def station_type(n: int, m: int, parameters: int) -> np.dtype[Any]:
+    """Record of what a lane keeps between decisions."""
+    f8, i8 = np.float64, np.int64
+    return np.dtype(
+        [
+            ("active", i8),
+            ("which", i8),
+            ("k", i8),
+            ("length", i8),
+            ("since", f8),
+            ("curvature", f8, (len(DECAYS),)),
+            ("lost", f8, (len(DECAYS),)),
+            ("noise", f8, (2,)),
+            ("widening", f8),
+            ("change", f8),
+            ("row", f8, (parameters,)),
+            # one stream of features
+            ("mean", f8, (STREAM,)),
+            ("last", f8, (m,)),
+            ("kind", i8, (m,)),  # 0: the measurement observes a position, 1: it does not
+            ("position", i8, (n,)),  # 1 where the state is a position
+        ]
+    )
+
+
+@part
+def take(lane, sample):
+    """Put a tape's sample into the lane; returns how many components were received."""
+    count = 0
+    for j in range(lane.y.shape[0]):
+        lane.y[j] = sample.y[j]
+        lane.use[j] = 1 - sample.lost[j]
+        count += lane.use[j]
+    return count
+
+
+@part
+def bounded(value):
+    """`value` inside plus or minus `LIMIT`; what is not a number counts as the worst."""
+    return max(value, -LIMIT) if value < LIMIT else LIMIT
+
+
+@part
+def log_square(value):
+    """Half the logarithm of a mean square, floored: 0 where it is 1."""
+    return bounded(0.5 * math.log(value + FLOOR))
+
+
+@part
+def curvature(lane, model, t):
+    """Squared miss of the parabola through the last three samples over its variance, or -1.
+
+    For three consecutive samples this is |y_k − 3y_{k−1} + 3y_{k−2} − y_{k−3}|² / 20 R per
+    component: it tells measurement noise from process noise.
+    """
+    total, count = 0.0, 0
+    for i in range(lane.y.shape[0]):
+        if lane.use[i] and lane.past_count[i] >= 3:
+            value, growth = quadratic(lane, i, t)
+            d = lane.y[i] - value
+            total += d * d / ((1.0 + growth) * model.R[i, i])
+            count += 1
+    return total / count if count > 0 else -1.0
+
+
+@inline
+def blend(means, s, value):
+    """Move signal s's exponential means towards `value`."""
+    for d in range(DECAYS.shape[0]):
+        means[s * DECAYS.shape[0] + d] += (1.0 - DECAYS[d]) * (
+            value - means[s * DECAYS.shape[0] + d]
+        )
+
+
+@part
+def watch(station, lane, model, received):
+    """Move the features of one stream by the lane's innovation; nothing received moves nothing."""
+    if received == 0:
+        return
+    positions, position_count, velocities, velocity_count = 0.0, 0.0, 0.0, 0.0
+    product, now, before = 0.0, 0.0, 0.0
+    for i in range(lane.y.shape[0]):
+        if lane.use[i]:
+            e = lane.innovation[i] / math.sqrt(model.R[i, i])
+            if station.kind[i] == 0:
+                positions += e * e
+                position_count += 1.0
+            else:
+                velocities += e * e
+                velocity_count += 1.0
+            product += e * station.last[i]
+            now += e * e
+            before += station.last[i] * station.last[i]
+            station.last[i] = e
+    blend(station.mean, 0, log_square(lane.nis / received))
+    blend(station.mean, 1, 1.0 if lane.nis > ALARM * received else 0.0)
+    cosine = product / math.sqrt(now * before + 1e-30)
+    blend(station.mean, 2, cosine if math.isfinite(cosine) else 0.0)
+    if position_count > 0.0:
+        blend(station.mean, 3, log_square(positions / position_count))
+    if velocity_count > 0.0:
+        blend(station.mean, 4, log_square(velocities / velocity_count))
+
+
+@part
+def square_error(lane, sample, station):
+    """Squared position error of the lane, m²."""
+    s = 0.0
+    for i in range(lane.x.shape[0]):
+        if station.position[i]:
+            d = lane.x[i] - sample.truth[i]
+            s += d * d
+    return s
+
+
+@part
+def adaptive_step(lane, model, sample, station, received):
+    """QIVBF on the sample in the lane, with the parameters in force at the station."""
+    row = station.row
+    qivbf.step(
+        lane, model, sample.time, received, int(row[qivbf.SWEEPS]), row[qivbf.TAU],
+        row[qivbf.RHO], row[qivbf.PROCESS], int(row[qivbf.FILL]), row[qivbf.INFLATION],
+    )  # fmt: skip
+
+
+@kernel
+def prepare(tapes, models, lengths, frozen, references, oracles, stations, scales):
+    """Fill the tapes (R, T): reference error, frozen features and, given scales, oracle variance."""
+    for i in range(tapes.shape[0]):
+        station, nominal, reference = stations[i], frozen[i], references[i]
+        for k in range(lengths[i]):
+            sample = tapes[i, k]
+            model = models[i, min(k, models.shape[1] - 1)]
+            received = take(nominal, sample)
+            c = curvature(nominal, model, sample.time)
+            kalman.step(nominal, model, sample.time, received, 1.0, 1.0, 0, 1.0)
+            watch(station, nominal, model, received)
+            if c >= 0.0:
+                blend(station.curvature, 0, log_square(c))
+            for j in range(STREAM):
+                sample.frozen[j] = station.mean[j]
+            for j in range(DECAYS.shape[0]):
+                sample.curvature[j] = station.curvature[j]
+            received = take(reference, sample)
+            adaptive_step(reference, model, sample, station, received)
+            sample.reference_error = square_error(reference, sample, station)
+            if reference.diverged == NUMERICAL:
+                sample.reference_error = LOST_TRACK
+            if scales.shape[1] > 0:
+                oracle = oracles[i]
+                received = take(oracle, sample)
+                q, r = scales[i, k, 0], scales[i, k, 1]
+                kalman.step(oracle, model, sample.time, received, q, r, 0, 1.0)
+                sample.oracle_variance = 0.0
+                for j in range(oracle.x.shape[0]):
+                    if station.position[j]:
+                        sample.oracle_variance += oracle.P[j, j]
+
+
+@part
+def set_parameters(station, action, table):
+    """Turn an action into physical parameters.
+
+    Rows of `table`: column, centre and half width in the warped scale, its ends, scale code,
+    whether whole numbers only, and the physical ends.
+    """
+    for a in range(table.shape[0]):
+        u = table[a, 1] + table[a, 2] * min(max(action[a], -1.0), 1.0)
+        u = min(max(u, table[a, 3]), table[a, 4])
+        if table[a, 5] == 1.0:
+            u = math.exp(u)
+        elif table[a, 5] == 2.0:
+            u = 1.0 - math.exp(-u)
+        if table[a, 6] == 1.0:
+            u = math.floor(u + 0.5)
+        station.row[int(table[a, 0])] = min(max(u, table[a, 7]), table[a, 8])
+
+
+@part
+def note(station, lane, model, received):
+    """Keep what the adaptive filter says of itself: R̂ over R, P̂ over P⁻, the last sweep's change."""
+    m = lane.y.shape[0]
+    for d in range(DECAYS.shape[0]):
+        station.lost[d] += (1.0 - DECAYS[d]) * (1.0 - received / m - station.lost[d])
+    station.since = 0.0 if received > 0 else station.since + 1.0
+    if received == 0:
+        return
+    positions, position_count, velocities, velocity_count = 0.0, 0.0, 0.0, 0.0
+    for i in range(m):
+        ratio = lane.R[i, i] / model.R[i, i]
+        if station.kind[i] == 0:
+            positions += ratio
+            position_count += 1.0
+        else:
+            velocities += ratio
+            velocity_count += 1.0
+    if position_count > 0.0:
+        station.noise[0] = log_square(positions / position_count)
+    if velocity_count > 0.0:
+        station.noise[1] = log_square(velocities / velocity_count)
+    wide = 0.0
+    for i in range(lane.x.shape[0]):
+        wide += lane.P_adapted[i] / lane.P_predicted[i, i]
+    station.widening = log_square(wide / lane.x.shape[0])
+    station.change = bounded(0.1 * math.log(lane.change + 1e-20) + 2.0)
+
+
+@part
+def place(station, table, a):
+    """Where the parameter of action a stands in its range, -1 to 1."""
+    v = station.row[int(table[a, 0])]
+    if table[a, 5] == 1.0:
+        v = math.log(v)
+    elif table[a, 5] == 2.0:
+        v = -math.log(1.0 - v)
+    return 2.0 * (v - table[a, 3]) / (table[a, 4] - table[a, 3]) - 1.0
+
+
+@part
+def observe(station, sample, table, obs, i):
+    """Write lane i's observation after `sample`."""
+    D = DECAYS.shape[0]
+    for j in range(STREAM):
+        obs[i, j] = bounded(station.mean[j])
+        obs[i, STREAM + j] = bounded(sample.frozen[j])
+    c = 2 * STREAM
+    for d in range(D):
+        obs[i, c + d] = bounded(sample.curvature[d])
+        obs[i, c + D + d] = station.lost[d]
+    c += 2 * D
+    obs[i, c] = bounded(0.5 * math.log1p(station.since))
+    obs[i, c + 1] = station.noise[0]
+    obs[i, c + 2] = station.noise[1]
+    obs[i, c + 3] = station.widening
+    obs[i, c + 4] = station.change
+    for a in range(table.shape[0]):
+        obs[i, c + 5 + a] = place(station, table, a)
+
+
+@part
+def earn(kind, clip, error, reference, relative, likelihood, count):
+    """The decision's reward from its sums over `count` samples."""
+    if kind == DIFFERENCE:
+        term = (reference - error) / count
+    elif kind == OVER_ORACLE:
+        term = -relative / count
+    elif kind == ABSOLUTE:
+        term = -math.sqrt(error / count)
+    else:
+        term = likelihood / count
+    if not math.isfinite(term):
+        term = -clip
+    return min(max(term, -clip), clip), term
+
+
+@kernel
+def decide(lanes, stations, models, tapes, table, rule, actions, obs, out, trail):
+    """One decision of every lane: set parameters, filter `interval` samples, look, earn.
+
+    Writes a row of `out` per lane (see the column names above): reward, whether the episode was
+    terminated (the filter diverged) or truncated (the recording is over), and information. Lanes
+    whose station is not `active` are left alone. Returns False, having
+    done nothing, if an action is not a number.
+    """
+    interval, clip = rule[0].interval, rule[0].clip
+    for i in range(lanes.shape[0]):
+        for a in range(table.shape[0]):
+            if not math.isfinite(actions[i, a]):
+                return False
+    for i in range(lanes.shape[0]):
+        lane, station = lanes[i], stations[i]
+        if not station.active:
+            continue
+        which = station.which
+        set_parameters(station, actions[i], table)
+        error, reference, relative, likelihood = 0.0, 0.0, 0.0, 0.0
+        nis, heard, lost, count = 0.0, 0.0, 0.0, 0.0
+        last = min(station.k + interval, station.length)
+        for k in range(station.k, last):
+            sample = tapes[which, k]
+            model = models[which, min(k, models.shape[1] - 1)]
+            received = take(lane, sample)
+            adaptive_step(lane, model, sample, station, received)
+            take(lane, sample)
+            watch(station, lane, model, received)
+            note(station, lane, model, received)
+            e = square_error(lane, sample, station)
+            error += e
+            reference += sample.reference_error
+            relative += e / sample.oracle_variance
+            if received > 0:
+                likelihood += lane.log_likelihood
+                nis += lane.nis / received
+                heard += 1.0
+            lost += 1.0 - received / lane.y.shape[0]
+            count += 1.0
+            if trail.shape[1] > 0:
+                for a in range(lane.x.shape[0]):
+                    trail[i, k, a] = lane.x[a]
+        station.k = last
+        sample = tapes[which, last - 1]
+        observe(station, sample, table, obs, i)
+        reward, term = earn(rule[0].kind, clip, error, reference, relative, likelihood, count)
+        failed = lane.diverged > 0
+        out[i, REWARD] = -clip if failed else reward
+        out[i, TERMINATED] = 1.0 if failed else 0.0
+        out[i, TRUNCATED] = 1.0 if station.k >= station.length and not failed else 0.0
+        out[i, RMSE] = math.sqrt(error / count)
+        out[i, REFERENCE_RMSE] = math.sqrt(reference / count)
+        out[i, NIS] = nis / heard if heard > 0.0 else math.nan
+        out[i, LOST] = lost
+        out[i, REGIME] = sample.regime
+        out[i, TERM] = term
+        for p in range(station.row.shape[0]):
+            out[i, INFO + p] = station.row[p]
+    return True
+
+
+@kernel
+def first_look(stations, table, obs):
+    """Observations (N, ·) before the first decision: zeros, but for the parameters in force."""
+    for i in range(stations.shape[0]):
+        for a in range(table.shape[0]):
+            obs[i, 2 * STREAM + COMMON + a] = place(stations[i], table, a)

@@ -1,0 +1,1 @@
+"""Tests of navgym; the tree mirrors the package's."""

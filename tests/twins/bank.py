@@ -1,0 +1,138 @@
+"""The interacting-multiple-model filter of the textbooks, with a J x J transition matrix.
+
+Blom & Bar-Shalom 1988: mix, predict, update, combine. Modes multiply Q and R; a mode with outliers
+updates twice, under R and 100 R, and is collapsed to the moments of the two.
+"""
+
+import math
+
+import numpy as np
+
+from tests.twins.gaussian import Log, at, judge
+
+OUTLIER_SCALE = 100.0
+LOST_LEAK = 0.2
+
+
+def transition(modes, scale_stay, regime_stay):
+    """P(mode j now | mode i before), modes in row-major order of (R scale, regime)."""
+    A, B = modes.shape
+    scale = scale_stay * np.eye(A) + (1 - scale_stay) * (1 - modes.near) / A
+    for i in range(A):
+        neighbours = [j for j in (i - 1, i + 1) if 0 <= j < A]
+        for j in neighbours:
+            scale[i, j] += (1 - scale_stay) * modes.near / len(neighbours)
+    prior = np.array(modes.prior) / sum(modes.prior)
+    regime = regime_stay * np.eye(B) + (1 - regime_stay) * np.tile(prior, (B, 1))
+    return np.kron(scale, regime)
+
+
+def listed(modes):
+    """(R scale, Q scale, outliers, first weight) of each mode."""
+    A, B = modes.shape
+    prior = np.array(modes.prior) / sum(modes.prior)
+    return [
+        (modes.scales[a], modes.process[a][b], modes.outliers[b], prior[b] / A)
+        for a in range(A)
+        for b in range(B)
+    ]
+
+
+def bank(
+    model, y, lost, modes, q=1.0, r=1.0, scale_stay=0.995, regime_stay=0.985, rate=0.2, axes=1
+):
+    """The bank; with axes = 2 each mode keeps one covariance for both halves of the state.
+
+    A mode is a list of means, one per axis, and one covariance C of a single axis. Where textbooks
+    add a spread d dᵀ to C, two axes add the mean of their two.
+    """
+    table = listed(modes)
+    J, n = len(table), model.n // axes
+    weight = np.array([mode[3] for mode in table])
+    means = np.tile(model.x0.reshape(axes, n), (J, 1, 1))
+    C = np.tile(model.P0[:n, :n], (J, 1, 1))
+    log, weights = Log(), []
+    for k in range(len(y)):
+        F, H, Q, R = (at(M, k) for M in (model.F, model.H, model.Q, model.R))
+        f, g = F[:n, :n], Q[:n, :n]
+        s = model.m // axes
+        h, noise = H[:s, :n], R[:s, :s]
+        got, here = ~lost[k], ~lost[k, :s]
+        fade = 1.0 if got.any() else LOST_LEAK
+        x, P = combined(weight, means, C)
+
+        T = transition(modes, 1 - fade * (1 - scale_stay), 1 - fade * (1 - regime_stay))
+        weight, means, C = mixed(T, weight, means, C)
+        means = means @ f.T
+        C = np.array([f @ c @ f.T + q * mode[1] * g for c, mode in zip(C, table, strict=True)])
+
+        mean_q = sum(w * mode[1] for w, mode in zip(weight, table, strict=True))
+        outlying = [1 + mode[2] * rate * (OUTLIER_SCALE - 1) for mode in table]
+        mean_r = sum(w * mode[0] * o for w, mode, o in zip(weight, table, outlying, strict=True))
+        P_prior = F @ P @ F.T + q * mean_q * Q
+        innovation, nis, likelihood = judge(F @ x, P_prior, y[k], H, r * mean_r * R, got)
+
+        if got.any():
+            densities = np.empty(J)
+            for j, mode in enumerate(table):
+                odds = [1.0 - rate, rate] if mode[2] else [1.0]
+                branches = [
+                    axis_update(means[j], C[j], y[k].reshape(axes, s), h, here, r * mode[0] * c * noise)
+                    for c in (1.0, OUTLIER_SCALE)[: len(odds)]
+                ]
+                shares = np.array([o * math.exp(b[2]) for o, b in zip(odds, branches, strict=True)])
+                densities[j] = shares.sum()
+                shares = shares / shares.sum()
+                means[j] = sum(p * b[0] for p, b in zip(shares, branches, strict=True))
+                C[j] = sum(
+                    p * (b[1] + spread(b[0] - means[j])) for p, b in zip(shares, branches, strict=True)
+                )
+            likelihood = math.log(weight @ densities)
+            weight = weight * densities / (weight @ densities)
+        x, P = combined(weight, means, C)
+        log.add(x, P, innovation, nis, likelihood)
+        weights.append(weight.reshape(modes.shape))
+    return log.arrays() | {"weights": np.stack(weights)}
+
+
+def spread(d):
+    """Mean over the axes of d dᵀ, for the offsets d (axes, n) of a mean."""
+    return d.T @ d / len(d)
+
+
+def mixed(T, weight, means, C):
+    """Mixed initial conditions: μ_ij = P(mode i before | mode j now)."""
+    now = weight @ T
+    mu = weight[:, None] * T / now
+    new_means = np.einsum("ij,iag->jag", mu, means)
+    new_C = np.array([
+        sum(mu[i, j] * (C[i] + spread(means[i] - new_means[j])) for i in range(len(C)))
+        for j in range(len(C))
+    ])  # fmt: skip
+    return now, new_means, new_C
+
+
+def axis_update(means, C, y, h, here, noise):
+    """Update of each axis by its own measurements; the log-densities of the axes add up."""
+    total, updated, posterior = 0.0, means.copy(), C
+    if here.any():
+        h, noise = h[here], noise[np.ix_(here, here)]
+        S = h @ C @ h.T + noise
+        K = C @ h.T @ np.linalg.inv(S)
+        rest = np.eye(len(C)) - K @ h
+        posterior = rest @ C @ rest.T + K @ noise @ K.T
+        for g in range(len(means)):
+            v = y[g, here] - h @ means[g]
+            updated[g] = means[g] + K @ v
+            total -= 0.5 * (v @ np.linalg.solve(S, v) + np.linalg.slogdet(2 * math.pi * S)[1])
+    return updated, posterior, total
+
+
+def combined(weight, means, C):
+    """Mean and covariance of the mixture over the whole state."""
+    flat = means.reshape(len(means), -1)
+    x = weight @ flat
+    P = np.kron(np.eye(means.shape[1]), np.einsum("j,jab->ab", weight, C))
+    for w, mean in zip(weight, flat, strict=True):
+        P = P + w * np.outer(mean - x, mean - x)
+    return x, P
