@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from navgym._checks import Array, one_of
 from navgym._tables import Table, read_table, write_table
-from navgym.models import LinearModel, Model
-from navgym.readers import positive, step_of
+from navgym.models import LinearModel, Model, step_of
+from navgym.readers import positive
 from navgym.recording import Recording
 
 STATES = ("px", "vx", "py", "vy")

@@ -26,6 +26,12 @@ def constant_velocity(dt: ArrayLike) -> Array:
     return transition
 
 
+def step_of(dt: Array) -> Array:
+    """What a model takes as `dt`: the one step of even samples, (), or each sample's own, (T,)."""
+    even = np.allclose(dt, dt[0], rtol=1e-6, atol=0.0)
+    return np.asarray(np.median(dt)) if even else dt
+
+
 @dataclass(frozen=True, eq=False)
 class LinearModel:
     """x_k = F x_{k-1} + w, w ~ N(0, Q);  z_k = H x_k + v, v ~ N(0, R)  (QIVBF eq. 1, corrected).

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from navgym._checks import Array, one_of, positive_int
 from navgym._tables import Table, read_table
-from navgym.models import LinearModel
+from navgym.models import LinearModel, step_of
 from navgym.recording import Recording
 from navgym.scenarios import Loss, split_of
 from navgym.simulation.auv import draw_losses
@@ -61,12 +61,6 @@ def positive(field: str, value: float) -> None:
     """ValueError unless `value` is a positive finite number."""
     if not (math.isfinite(value) and value > 0.0):
         raise ValueError(f"{field} must be a positive number, got {value}.")
-
-
-def step_of(dt: Array) -> Array:
-    """What a model takes as `dt`: the one step of even samples, (), or each sample's own, (T,)."""
-    even = np.allclose(dt, dt[0], rtol=1e-6, atol=0.0)
-    return np.asarray(np.median(dt)) if even else dt
 
 
 def read_akit(

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navgym._checks import Array, real_array, shaped
-from navgym.models import Model, model_from_arrays
+from navgym.models import LinearModel, Model, model_from_arrays, step_of
 
 FORMAT = 1
 
@@ -182,16 +182,13 @@ def _checked_lost(value: Any, y: Array) -> NDArray[np.bool_]:
 
 
 def _default_model(time: Array, m: int) -> Model:
-    from navgym.models import LinearModel
-
     if m != 4:
         raise ValueError(
             f"the default model measures [Px, Vx, Py, Vy], but measurements have {m} columns: "
             "pass `model=`."
         )
     dt = np.diff(time, prepend=2 * time[0] - time[1]) if len(time) > 1 else np.ones(1)
-    uniform = np.allclose(dt, dt[0], rtol=1e-6)
-    return LinearModel(dt=float(np.median(dt)) if uniform else dt)
+    return LinearModel(dt=step_of(dt))
 
 
 def _check_model(model: Model, shape: tuple[int, ...], steps: int) -> None:

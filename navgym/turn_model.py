@@ -29,7 +29,7 @@ RECORD = np.dtype(
 
 @dataclass(frozen=True, eq=False)
 class CoordinatedTurnModel:
-    """x_k = f(x_{k-1}) + w, w ~ N(0, Q);  z_k = h(x_k) + v, v ~ N(0, R)  (QIVBF eq. 5-6, corrected).
+    """x_k = f(x_{k-1}) + w, w ~ N(0, Q);  z_k = h(x_k) + v, v ~ N(0, R)  (QIVBF eq. 5-6).
 
     The state is [Px, Vx, Py, Vy, ω] (m, m/s, rad/s): the linear model's four and a turn rate. So
     position and velocity keep their indices and metrics, no state is an angle that would need

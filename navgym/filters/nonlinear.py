@@ -1,6 +1,6 @@
 """Filters for nonlinear models: extended, unscented, cubature, and the two of them in turn (CUKF).
 
-Every one works on any model: x_k = f(x_{k-1}) + w, z_k = h(x_k) + v (QIVBF eq. 5-6, corrected).
+Every one works on any model: x_k = f(x_{k-1}) + w, z_k = h(x_k) + v (QIVBF eq. 5-6).
 `move` is f and `sense` is h, applied to one of the lane's points; `move_slope` and `sense_slope`
 are their Jacobians. Which model's arithmetic they compile to follows from the type of its record.
 
@@ -58,7 +58,7 @@ def lane_type(n: int, m: int) -> np.dtype[Any]:
     extra = [
         ("points", f8, (2 * n + 1, n)),
         ("seen", f8, (2 * n + 1, m)),
-        ("mean", f8, (max(n, m),)),
+        ("mean", f8, (max(n, m),)),  # of the differences from the centre point
         ("angle", np.int64, (m,)),
         ("local", models.record(n, m), ()),
     ]
@@ -74,7 +74,7 @@ def estimate(
     return estimate_lanes(sys.modules[__name__], batch, table, interval, chosen.option, everything)
 
 
-def begin(lanes: NDArray[Any], records: NDArray[Any], parameters: NDArray[Any]) -> None:  # noqa: ARG001
+def begin(lanes: NDArray[Any], records: NDArray[Any], parameters: NDArray[Any]) -> None:
     """Put the lanes (N,) at the start of their recordings."""
     start(lanes, records)
     lanes["local"]["rows"] = -1
@@ -82,15 +82,15 @@ def begin(lanes: NDArray[Any], records: NDArray[Any], parameters: NDArray[Any]) 
         lanes["angle"][:, list(turn_model.CoordinatedTurnModel.angles)] = 1
 
 
-def _by_model(linear: Callable[..., None], turn: Callable[..., None]) -> Callable[..., None]:
-    """A function for kernels that compiles to `linear` or to `turn`, by its `model`'s record."""
+def _by_model(linear: Callable[..., None], turning: Callable[..., None]) -> Callable[..., None]:
+    """A function for kernels that compiles to `linear` or to `turning`, by its `model`'s record."""
 
     def function(lane, model, i):
         raise NotImplementedError("for compiled kernels only")
 
     @overload(function, jit_options={"error_model": "numpy", "nogil": True, "forceinline": True})
-    def choose(lane, model, i):  # noqa: ARG001
-        return turn if "beacon" in model.fields else linear
+    def choose(lane, model, i):
+        return turning if "beacon" in model.fields else linear
 
     return function
 
@@ -119,14 +119,14 @@ def _linear_sense(lane, model, i):
         lane.seen[i, j] = s
 
 
-def _linear_move_slope(lane, model, i):  # noqa: ARG001
+def _linear_move_slope(lane, model, i):
     """F is its own Jacobian."""
     for a in range(lane.x.shape[0]):
         for b in range(lane.x.shape[0]):
             lane.local.F[a, b] = model.F[a, b]
 
 
-def _linear_sense_slope(lane, model, i):  # noqa: ARG001
+def _linear_sense_slope(lane, model, i):
     """H is its own Jacobian."""
     for j in range(lane.y.shape[0]):
         lane.local.rows[j] = model.rows[j]
@@ -394,7 +394,7 @@ def sigma_step(lane, model, received, q, r, a):
 
 @kernel
 def run(
-    lanes, models, y, lost, time, scales, parameters, interval, method,  # noqa: ARG001
+    lanes, models, y, lost, time, scales, parameters, interval, method,
     states, covariances, innovations, nis, log_likelihoods,
 ):  # fmt: skip
     """Filter every series: parameters (·, ·, 3) are q, r and a; `time` and `scales` are unused.
