@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -55,6 +56,35 @@ def covariance(field: str, value: Array, definite: bool) -> None:
             f"{field} must be {kind}, but its smallest eigenvalue is {smallest:.3g}: "
             "a covariance needs positive variances and correlations inside (-1, 1)."
         )
+
+
+def within(
+    field: str, value: Any, low: float, high: float = math.inf, above: bool = False
+) -> float:
+    """`value` as a finite float in [low, high] (or above `low`); ValueError naming the field."""
+    ok = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+    number = float(value) if ok else math.nan
+    if not (low <= number <= high) or (above and number == low) or math.isinf(number):
+        if high < math.inf:
+            wanted = f"a number in {low:g}..{high:g}"
+        else:
+            wanted = f"a finite number {'above' if above else 'of at least'} {low:g}"
+        raise ValueError(f"{field} must be {wanted}, got {value!r}.")
+    return number
+
+
+def span(field: str, value: Any, low: float, above: bool = False, whole: bool = False) -> None:
+    """Raise ValueError unless `value` is a pair (least, largest) of numbers from `low` on."""
+    try:
+        least, largest = value
+    except (TypeError, ValueError):
+        raise ValueError(f"{field} must be a pair (least, largest), got {value!r}.") from None
+    for number in (least, largest):
+        if whole:
+            positive_int(field, number, int(low))
+        within(field, number, low, above=above)
+    if least > largest:
+        raise ValueError(f"{field} must be (least, largest), got {value!r}: swap them.")
 
 
 def positive_int(field: str, value: object, least: int = 1) -> int:

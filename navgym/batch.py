@@ -30,6 +30,9 @@ class Batch:
         """Stack `recordings`; ValueError if there is none or if their models differ in size."""
         if not recordings:
             raise ValueError("recordings must hold at least one Recording, got none.")
+        for r in recordings:
+            if not isinstance(r, Recording):
+                raise TypeError(f"a recording must be a navgym.Recording, got {type(r)}.")
         sizes = {(type(r.model).__name__, r.model.n, r.model.m) for r in recordings}
         if len(sizes) > 1:
             raise ValueError(

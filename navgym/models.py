@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
@@ -156,7 +157,8 @@ class LinearModel:
 
     def observe(self, states: ArrayLike) -> Array:
         """Noise-free measurements H x of `states` (n,) or (T, n): (m,) or (T, m)."""
-        seen: Array = (self.H @ real_array("states", states)[..., None])[..., 0]
+        x = real_array("states", states)
+        seen: Array = x @ self.H.T if self.H.ndim == 2 else np.einsum("...ij,...j->...i", self.H, x)
         return seen
 
     def pack(self) -> NDArray[Any]:
@@ -241,7 +243,10 @@ def check_vector(field: str, value: Any, length: int, because: str = "one per st
 def _indices(field: str, value: Any, usual: tuple[int, ...], n: int) -> tuple[int, ...]:
     if value is None:
         return usual if n == 4 else (tuple(range(n)) if field == "position" else ())
-    indices = tuple(int(i) for i in value)
+    try:
+        indices = tuple(operator.index(i) for i in value)
+    except TypeError:
+        indices = (-1,)
     if any(not 0 <= i < n for i in indices) or len(set(indices)) != len(indices):
         raise ValueError(f"{field} must be distinct state indices in 0..{n - 1}, got {value!r}.")
     return indices

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from navgym._checks import Array, one_of
+from navgym._checks import Array, one_of, real_array, shaped
 
 SCALES = ("linear", "log", "log-complement")
 
@@ -47,10 +47,22 @@ class Parameter:
 
     def __post_init__(self) -> None:
         one_of("scale", self.scale, SCALES)
+        if not self.low < self.high or not all(map(math.isfinite, self._ends)):
+            raise ValueError(
+                f"{self.name}: low must be below high, and both on the {self.scale} scale, got "
+                f"{self.low}..{self.high}."
+            )
         if not self.low <= self.default <= self.high:
             raise ValueError(
                 f"{self.name}: default {self.default} outside {self.low}..{self.high}."
             )
+
+    @property
+    def _ends(self) -> tuple[float, float]:
+        try:
+            return self.warp(self.low), self.warp(self.high)
+        except ValueError:  # a logarithm of something that has none
+            return math.nan, math.nan
 
     def check(self, value: Any) -> float:
         """`value` (a number, or the name of a choice) as a float inside the range.
@@ -67,7 +79,7 @@ class Parameter:
             raise ValueError(f"{self.name} must be a number, got {value!r}.") from None
         if not self.low <= number <= self.high:
             raise ValueError(
-                f"{self.name} must lie in {self.low:g}..{self.high:g} {self._unit}, got {number:g}."
+                f"{self.name} must lie in {self.low:g}..{self.high:g}{self._unit}, got {number:g}."
             )
         if self.integer and number != round(number):
             raise ValueError(f"{self.name} must be a whole number, got {number:g}.")
@@ -75,7 +87,7 @@ class Parameter:
 
     @property
     def _unit(self) -> str:
-        return "" if self.unit == "1" else self.unit
+        return "" if self.unit == "1" else f" {self.unit}"
 
     def show(self, value: float) -> float | int | str:
         """`value` as a user would write it: a choice's name, an int, or a float."""
@@ -188,7 +200,9 @@ class ParameterSpace:
     def from_unit(self, unit: ArrayLike) -> dict[str, Any]:
         """Values at `unit` (parameters,), each in 0 to 1: the inverse of `to_unit`."""
         found = {}
-        for p, u in zip(self.parameters, np.asarray(unit, dtype=np.float64), strict=True):
+        places = real_array("unit", unit)
+        shaped("unit", places, (len(self),), "a place per parameter")
+        for p, u in zip(self.parameters, places, strict=True):
             value = p.unwarp(p.warp(p.low) + (p.warp(p.high) - p.warp(p.low)) * float(u))
             value = min(max(value, p.low), p.high)
             found[p.name] = p.show(round(value) if p.integer else value)

@@ -6,6 +6,7 @@ import json
 import os
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -73,12 +74,21 @@ class Recording:
             arrays["truth"] = real_array("truth", self.truth)
             shaped("truth", arrays["truth"], (steps, model.n), "a state per sample")
         if self.regime is not None:
-            arrays["regime"] = np.array(self.regime, dtype=np.int64)
-            shaped("regime", arrays["regime"], (steps,), "a label per sample")
+            labels = real_array("regime", self.regime)
+            shaped("regime", labels, (steps,), "a label per sample")
+            arrays["regime"] = labels.astype(np.int64)
+            if (arrays["regime"] != labels).any():
+                bad = labels[arrays["regime"] != labels][0]
+                raise ValueError(f"regime must hold whole-number labels, got {bad}.")
         for name in ("process_scale", "measurement_scale"):
             if getattr(self, name) is not None:
                 arrays[name] = real_array(name, getattr(self, name))
                 shaped(name, arrays[name], (steps,), "a factor per sample")
+                if (arrays[name] <= 0.0).any():
+                    raise ValueError(
+                        f"{name} must be positive, got {arrays[name].min()}: it multiplies a "
+                        "covariance."
+                    )
         for name, array in arrays.items():
             array.flags.writeable = False
             object.__setattr__(self, name, array)
@@ -114,12 +124,13 @@ class Recording:
     def load(cls, path: str | os.PathLike[str]) -> Recording:
         """Read what `save` wrote. ValueError for a truncated, foreign or newer file."""
         arrays = _read_npz(path)
+        header = _header(path, arrays)
         model = {k.removeprefix("model."): v for k, v in arrays.items() if k.startswith("model.")}
-        header = json.loads(str(arrays["header"]))
-        if header.get("navgym") != FORMAT:
-            raise ValueError(f"{path}: format {header.get('navgym')}, this navgym reads {FORMAT}.")
         fields = {name: arrays[name] for name in _ARRAYS if name in arrays}
-        return cls(**fields, model=model_from_arrays(model), meta=header["meta"])
+        try:
+            return cls(**fields, model=model_from_arrays(model), meta=header["meta"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{path} is damaged: {error}. Save the recording again.") from error
 
 
 _ARRAYS = (
@@ -127,11 +138,18 @@ _ARRAYS = (
 )  # fmt: skip
 
 
+# what numpy, zipfile and zlib raise about a file that is no npz, or no longer one
+_UNREADABLE = (
+    ValueError, TypeError, EOFError, OSError, KeyError, zipfile.BadZipFile, zlib.error,
+    NotImplementedError,
+)  # fmt: skip
+
+
 def _read_npz(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-    except (ValueError, EOFError, OSError, zipfile.BadZipFile, KeyError) as error:
+    except _UNREADABLE as error:
         if isinstance(error, FileNotFoundError):
             raise
         raise ValueError(
@@ -140,9 +158,27 @@ def _read_npz(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
         ) from error
     if "header" not in arrays or "time" not in arrays:
         raise ValueError(
-            f"{path} is an npz file but not a navgym recording: it holds {sorted(arrays)[:8]}."
+            f"{path} is an npz file but not a navgym recording: it holds {sorted(arrays)[:8]}. "
+            "Use a file that Recording.save wrote."
         )
     return arrays
+
+
+def _header(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    try:
+        header = json.loads(str(arrays["header"]))
+        found = header["navgym"]
+    except (TypeError, ValueError, KeyError) as error:
+        raise ValueError(
+            f"{path} has a header that is not navgym's ({arrays['header']!s:.40}). "
+            "Use a file that Recording.save wrote."
+        ) from error
+    if found != FORMAT:
+        raise ValueError(
+            f"{path} has format {found}, and this navgym reads {FORMAT}: install the navgym that "
+            "wrote it, or save it again from there."
+        )
+    return dict(header)
 
 
 def _json(meta: Mapping[str, Any]) -> str:
@@ -172,7 +208,8 @@ def _checked_lost(value: Any, y: Array) -> NDArray[np.bool_]:
     lost = np.array(value)
     if lost.dtype != np.bool_ and not np.isin(lost, (0, 1)).all():
         raise ValueError(
-            f"lost must be booleans, True where nothing was received, got {lost.dtype}."
+            f"lost must be booleans, True where nothing was received, got {lost.ravel()[0]!r} "
+            f"({lost.dtype}): compare first, for example `lost > 0`."
         )
     lost = lost.astype(np.bool_)
     if lost.shape == y.shape[:1]:

@@ -12,12 +12,16 @@ import time
 from collections.abc import Callable, Iterator
 
 import navgym
+from navgym.filters.catalogue import CATALOGUE
+from navgym.turn_model import CoordinatedTurnModel
 
 
 def _tasks() -> Iterator[tuple[str, Callable[[], object]]]:
-    for scenario in ("auv/nominal", "auv/position-only", "auv/component-loss"):
-        recording = navgym.simulate(scenario, steps=3)
-        for name in navgym.filters():
+    for scenario in ("nominal", "position-only", "component-loss", "coordinated-turn"):
+        recording = navgym.simulate(f"auv/{scenario}", steps=3)
+        for name, chosen in CATALOGUE.items():
+            if isinstance(recording.model, CoordinatedTurnModel) and not chosen.nonlinear:
+                continue
             yield f"{name} on {scenario}", functools.partial(navgym.estimate, name, recording)
     for scenario in ("auv/switch-D", "auv/position-only"):
         yield f"environment on {scenario}", functools.partial(_try_environment, scenario)

@@ -7,6 +7,7 @@ from hypothesis import settings
 
 # the same examples on every run and machine; kernels compile inside the first one
 settings.register_profile("repeatable", deadline=None, max_examples=25, derandomize=True)
+settings.register_profile("thorough", deadline=None, max_examples=1000)  # --hypothesis-profile
 settings.load_profile("repeatable")
 
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"

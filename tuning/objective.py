@@ -96,6 +96,10 @@ class Objective:
         parameters = self.fixed | dict(values)
         return self.cases.bounded_errors(self.filter_name, parameters, self._plain)
 
+    def share_beyond(self, values: Mapping[str, Any], limit: float) -> float:
+        """Share of runs that are more than `limit` times worse than the plain filter's."""
+        return float((self.errors(values) > limit * self._plain).mean())
+
     def __call__(self, values: Mapping[str, Any]) -> float:
         """The metric, m, at `values` of the free parameters."""
         return METRICS[self.metric](self.errors(values))
@@ -148,3 +152,46 @@ class GeometricMean:
         """The mean ratio at `values`."""
         pairs = zip(self.members, self.references, strict=True)
         return math.exp(sum(math.log(m(values) / r) for m, r in pairs) / len(self.members))
+
+
+@dataclass(frozen=True)
+class Guarded:
+    """A goal whose value rises with the share of runs that a guard sees fail.
+
+    value = goal · (1 + price · share), share being the largest, over the guards, of runs that are
+    more than `limit` times worse than the plain filter's. A mean hardly notices one run in a
+    hundred that locks out; whoever sails in it does.
+
+    Args:
+        goal: what to minimise.
+        guards: objectives over the same space; take many recordings, rare failures are the point.
+        limit: a run's error over the plain filter's, above which it failed.
+        price: what a failing share of 1 costs, in goals.
+    """
+
+    goal: Goal
+    guards: Sequence[Objective]
+    limit: float = 2.0
+    price: float = 20.0
+
+    @property
+    def space(self) -> ParameterSpace:
+        """The free parameters."""
+        return self.goal.space
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """What the goal and every guard depend on."""
+        guards = [dict(guard.about) for guard in self.guards]
+        return {
+            "goal": dict(self.goal.about),
+            "guards": {"limit": self.limit, "price": self.price, "members": guards},
+        }
+
+    def failing(self, values: Mapping[str, Any]) -> float:
+        """Largest share, over the guards, of runs beyond the limit."""
+        return max((g.share_beyond(values, self.limit) for g in self.guards), default=0.0)
+
+    def __call__(self, values: Mapping[str, Any]) -> float:
+        """The guarded value at `values`."""
+        return self.goal(values) * (1.0 + self.price * self.failing(values))

@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 PROCESS, MEASUREMENT, SCALE_STAY, REGIME_STAY, OUTLIER_RATE = range(5)
 OUTLIER_SCALE = 100.0
 MAX_MODES = 24
+CANCELLATION = 1e-6  # a variance shrunk by more than this in one update has lost digits: use Joseph
 LOST_LEAK = 0.2  # leaks are this much smaller across a lost sample, which tells nothing
 
 
@@ -253,6 +254,7 @@ def leak_scales(lane, stay, near):
     A, B = lane.grid[0], lane.grid[1]
     K = lane.total.shape[0]
     leak = 1.0 - stay
+    near = near if A > 1 else 0.0  # nothing leaks to neighbours where there are none
     even = leak * (1.0 - near) / A
     for b in range(B):
         for c in range(K):
@@ -339,6 +341,41 @@ def predict_mode(lane, small, j, q):
 
 
 @part
+def joseph_mode(lane, small, j, branch, r):
+    """Covariance of an update as (I − K H) C (I − K H)ᵀ + r K R Kᵀ. Overwrites G by Kᵀ = L⁻ᵀ G."""
+    p = lane.m_prior.shape[0]
+    s_count = lane.L.shape[0]
+    for i in range(s_count - 1, -1, -1):
+        for k in range(p):
+            s = lane.G[i, k]
+            for h in range(i + 1, s_count):
+                s -= lane.L[h, i] * lane.G[h, k]
+            lane.G[i, k] = s / lane.L[i, i]
+    for i in range(p):
+        for k in range(p):
+            s = 1.0 if i == k else 0.0
+            for h in range(s_count):
+                s -= lane.G[h, i] * small.H[h, k]
+            lane.A[i, k] = s
+    for i in range(p):
+        for k in range(p):
+            s = 0.0
+            for h in range(p):
+                s += lane.A[i, h] * lane.cov[j, h, k]
+            lane.T[i, k] = s
+    for i in range(p):
+        for k in range(i + 1):
+            s = 0.0
+            for h in range(p):
+                s += lane.T[i, h] * lane.A[k, h]
+            for h in range(s_count):
+                for g in range(s_count):
+                    s += r * small.R[h, g] * lane.G[h, i] * lane.G[g, k]
+            lane.branch_C[j, branch, i, k] = s
+            lane.branch_C[j, branch, k, i] = s
+
+
+@part
 def update_mode(lane, small, j, branch, r):
     """Kalman update of mode j under r R into `branch`; notes its NIS and √|S|. False if S fails."""
     p, axes = lane.m_prior.shape
@@ -401,6 +438,10 @@ def update_mode(lane, small, j, branch, r):
                 s -= lane.G[h, i] * lane.G[h, k]
             lane.branch_C[j, branch, i, k] = s
             lane.branch_C[j, branch, k, i] = s
+    for i in range(p):
+        if not lane.branch_C[j, branch, i, i] > CANCELLATION * lane.cov[j, i, i]:
+            joseph_mode(lane, small, j, branch, r)
+            break
     density = root
     for _ in range(1, axes):
         density *= root
@@ -485,10 +526,11 @@ def combine(lane):
             for i in range(p):
                 for k in range(p):
                     lane.P[g * p + i, g * p + k] += w * lane.cov[j, i, k]
-                d = w * (lane.mean[j, i, g] - lane.x[g * p + i])
+                d = lane.mean[j, i, g] - lane.x[g * p + i]
                 for h in range(axes):
                     for k in range(p):
-                        lane.P[g * p + i, h * p + k] += d * (lane.mean[j, k, h] - lane.x[h * p + k])
+                        s = d * (lane.mean[j, k, h] - lane.x[h * p + k])
+                        lane.P[g * p + i, h * p + k] += w * s
 
 
 @kernel

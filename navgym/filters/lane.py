@@ -36,6 +36,7 @@ def fields(n: int, m: int) -> list[tuple[str, Any, tuple[int, ...]]]:
         ("nis", f8, ()),
         ("log_likelihood", f8, ()),
         ("power", f8, ()),
+        ("grace", f8, ()),  # share of S added to R when judging health: a wide P0 is no divergence
         ("diverged", i8, ()),
         # the last three received values of each component, oldest first
         ("past", f8, (m, 3)),
@@ -58,6 +59,7 @@ def start(lanes: NDArray[Any], models: NDArray[Any]) -> None:
     lanes[...] = np.zeros((), lanes.dtype)
     lanes["x"] = models["x0"][:, 0]
     lanes["P"] = models["P0"][:, 0]
+    lanes["grace"] = 1.0
 
 
 def estimate_lanes(
@@ -155,13 +157,17 @@ def judge(lane, model, received, whitened):
     power = 0.0
     for j in range(lane.y.shape[0]):
         if lane.use[j]:
-            power += lane.innovation[j] ** 2 / model.R[j, j]
+            variance = 0.0
+            for k in range(j + 1):
+                variance += lane.S[j, k] * lane.S[j, k]
+            power += lane.innovation[j] ** 2 / (model.R[j, j] + lane.grace * variance)
+    lane.grace *= POWER_MEMORY
     lane.nis = nis
     lane.log_likelihood = -0.5 * (nis + log_det + received * LOG_2PI)
     lane.power = POWER_MEMORY * lane.power + (1.0 - POWER_MEMORY) * power / received
-    if not ok:
+    if not (ok and math.isfinite(lane.power)):
         lane.diverged = NUMERICAL
-    elif not lane.power < RUNAWAY_POWER and lane.diverged == 0:
+    elif lane.power >= RUNAWAY_POWER and lane.diverged == 0:
         lane.diverged = RUNAWAY
 
 

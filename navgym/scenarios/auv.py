@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from navgym._checks import one_of, positive_int
+from navgym._checks import one_of, positive_int, span, within
 from navgym.models import LinearModel, Model
 from navgym.turn_model import CoordinatedTurnModel
 
@@ -35,12 +35,14 @@ class Loss:
     per_component: bool = False
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.rate <= 1.0:
-            raise ValueError(f"loss rate must lie in 0..1, got {self.rate}.")
-        if self.length is not None and self.length < max(1.0, self.rate / max(1 - self.rate, 1e-9)):
-            raise ValueError(
-                f"loss length must be at least 1 and rate/(1-rate) samples, got {self.length}."
-            )
+        within("loss rate", self.rate, 0.0, 1.0)
+        if self.length is not None:
+            least = max(1.0, self.rate / max(1 - self.rate, 1e-9))
+            if within("loss length", self.length, 1.0) < least:
+                raise ValueError(
+                    f"loss length must be at least rate/(1-rate) = {least:g} samples, got "
+                    f"{self.length}: between bursts at least one sample gets through."
+                )
         positive_int("outages", self.outages, least=0)
         positive_int("outage_length", self.outage_length)
 
@@ -77,12 +79,12 @@ class Regime:
 
     def __post_init__(self) -> None:
         for name in ("measurement_scale", "process_scale", "outlier_scale"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} of regime {self.name!r} must be positive.")
-        if not 0.0 <= self.outlier_rate <= 1.0:
-            raise ValueError(f"outlier_rate must lie in 0..1, got {self.outlier_rate}.")
-        if self.degrees is not None and self.degrees <= 0.0:
-            raise ValueError(f"degrees must be positive, got {self.degrees}.")
+            within(f"{name} of regime {self.name!r}", getattr(self, name), 0.0, above=True)
+        within(f"outlier_rate of regime {self.name!r}", self.outlier_rate, 0.0, 1.0)
+        if self.degrees is not None:
+            within(f"degrees of regime {self.name!r}", self.degrees, 0.0, above=True)
+        if self.loss is not None and not isinstance(self.loss, Loss):
+            object.__setattr__(self, "loss", Loss(self.loss))
 
 
 @dataclass(frozen=True)
@@ -91,11 +93,15 @@ class Turns:
 
     Args:
         rate: least and largest turn rate, degrees per second, to either side.
-        dwell: least and largest duration of a turn or a leg, s.
+        dwell: least and largest duration of a turn or a leg, s; rounded to samples.
     """
 
     rate: tuple[float, float] = (3.0, 9.0)
-    dwell: tuple[int, int] = (20, 60)
+    dwell: tuple[float, float] = (20, 60)
+
+    def __post_init__(self) -> None:
+        span("rate of turns", self.rate, 0.0)
+        span("dwell of turns", self.dwell, 0.0, above=True)
 
 
 @dataclass(frozen=True)
@@ -143,17 +149,15 @@ class AUVScenario:
                 f"turns={self.turns} are what a linear model knows nothing of, and "
                 'measured="beacon" brings a model that turns: leave one of them out.'
             )
-        if not self.dt > 0.0:
-            raise ValueError(f"dt must be positive seconds, got {self.dt}.")
+        within("dt", self.dt, 0.0, above=True)
         if not isinstance(self.loss, Loss):
-            object.__setattr__(self, "loss", Loss(float(self.loss)))
-        if not self.regimes:
-            raise ValueError("regimes must name at least one Regime.")
-        if len(self.dwell) != 2 or not 1 <= self.dwell[0] <= self.dwell[1]:
-            raise ValueError(f"dwell must be (least, largest) samples, got {self.dwell}.")
-        for name in ("measurement_scale", "process_scale"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}.")
+            object.__setattr__(self, "loss", Loss(self.loss))
+        if not self.regimes or not all(isinstance(r, Regime) for r in self.regimes):
+            raise ValueError(f"regimes must be a tuple of at least one Regime, got {self.regimes!r}.")
+        span("dwell", self.dwell, 1, whole=True)
+        for name in ("measurement_scale", "process_scale", "outlier_scale", "manoeuvre_scale"):
+            if getattr(self, name) is not None:
+                within(name, getattr(self, name), 0.0, above=True)
         object.__setattr__(self, "reference", MappingProxyType(dict(self.reference)))
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -193,6 +197,34 @@ OUTLIER = Regime("outlier", outlier_rate=0.2)
 BURST = Regime("burst", loss=Loss(0.6, length=10))
 MANOEUVRE = Regime("manoeuvre", process_scale=100.0)
 
+# QIVBF's best fixed parameters in each scenario, from `python scripts/choose_defaults.py references`:
+# prior_count, forgetting, initial_count, initial_scale, process_noise_scale (5 sweeps, no fill).
+_BEST_FIXED: Mapping[str, tuple[float, float, float, float, float]] = {
+    "nominal": (300, 0.999, 100, 1, 1),
+    "paper": (270, 0.9972, 99, 1.3, 1.4),
+    "burst": (40, 0.9976, 69, 0.13, 0.47),
+    "outage": (180, 0.9969, 83, 1.3, 1),
+    "tvr": (210, 0.9972, 82, 12, 1),
+    "heavy": (5, 0.84, 10, 1.7, 4.6),
+    "student": (120, 0.929, 47, 1.1, 2.3),
+    "mismatch": (170, 0.997, 98, 1, 100),
+    "turn": (7.5, 0.9987, 97, 1.8, 180),
+    "position-only": (300, 0.999, 100, 1, 1),
+    "component-loss": (290, 0.999, 98, 1.1, 1.1),
+    "switch-A": (180, 0.89, 53, 7.2, 2.9),
+    "switch-B": (1.5, 0.906, 7, 9.4, 14),
+    "switch-D": (2, 0.85, 5, 1, 70),
+}
+
+
+def _reference(name: str) -> dict[str, Any]:
+    """Parameters of the reference filter in scenario `name`; none where QIVBF cannot run."""
+    if name not in _BEST_FIXED:
+        return {}
+    names = ("prior_count", "forgetting", "initial_count", "initial_scale", "process_noise_scale")
+    values = dict(zip(names, _BEST_FIXED[name], strict=True))
+    return {"vb_iterations": 5, "fill": "skip"} | values
+
 
 def _catalogue() -> dict[str, AUVScenario]:
     switching: dict[str, Any] = {"steps": 800, "loss": Loss(0.0), "dwell": (50, 150)}
@@ -228,7 +260,7 @@ def _catalogue() -> dict[str, AUVScenario]:
             regimes=(NOMINAL, OUTLIER, MANOEUVRE), **switching,
         ),
     ]  # fmt: skip
-    return {s.name: s for s in members}
+    return {s.name: s.override(reference=_reference(s.name)) for s in members}
 
 
 CATALOGUE: Mapping[str, AUVScenario] = MappingProxyType(_catalogue())

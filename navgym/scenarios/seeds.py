@@ -23,6 +23,7 @@ def seeds(split: str, count: int, start: int = 0) -> range:
 
 def split_of(seed: int) -> str:
     """The split that owns `seed`; ValueError for a seed that no split owns."""
-    if not 0 <= seed < SIZE * len(SPLITS):
+    positive_int("seed", seed, least=0)
+    if seed >= SIZE * len(SPLITS):
         raise ValueError(f"seed must lie in 0..{SIZE * len(SPLITS) - 1}, got {seed}.")
     return SPLITS[seed // SIZE]

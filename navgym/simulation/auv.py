@@ -65,12 +65,13 @@ def _effective(regime: Regime, scenario: AUVScenario) -> Regime:
     manoeuvres = regime.process_scale > 1.0 and scenario.manoeuvre_scale is not None
     process = scenario.manoeuvre_scale if manoeuvres else regime.process_scale
     assert process is not None
+    fixed = scenario.outlier_scale
     return Regime(
         name=regime.name,
         measurement_scale=regime.measurement_scale * scenario.measurement_scale,
         process_scale=process * scenario.process_scale,
         outlier_rate=regime.outlier_rate,
-        outlier_scale=scenario.outlier_scale or regime.outlier_scale,
+        outlier_scale=regime.outlier_scale if fixed is None else fixed,
         degrees=regime.degrees,
         loss=regime.loss,
     )
@@ -130,19 +131,21 @@ def _track(
         F, x0, w = constant_velocity(scenario.dt), x0[:4], np.ascontiguousarray(w[:, :4])
         before, after = omega[:-1], omega[1:, None]
     else:
-        F, before = np.ascontiguousarray(model.F), _turn_rates(scenario.turns, scenario.steps, rng)
+        F, before = np.ascontiguousarray(model.F), _turn_rates(scenario, rng)
         after = np.empty((scenario.steps, 0))
     truth = np.empty((scenario.steps, F.shape[0]))
     move(x0, F, w, before, scenario.dt, truth)
     return np.concatenate([truth, after], axis=1)
 
 
-def _turn_rates(turns: Turns | None, steps: int, rng: np.random.Generator) -> Array:
+def _turn_rates(scenario: AUVScenario, rng: np.random.Generator) -> Array:
     """Turn rate in rad/s over each step: turns to either side between straight legs."""
+    turns, steps = scenario.turns, scenario.steps
     omega = np.zeros(steps if turns is not None else 0)
     k, turning = 0, False
     while turns is not None and k < steps:
-        stay = int(rng.integers(turns.dwell[0], turns.dwell[1] + 1))
+        least, largest = (max(1, round(d / scenario.dt)) for d in turns.dwell)
+        stay = int(rng.integers(least, largest + 1))
         if turning:
             omega[k : k + stay] = math.radians(rng.uniform(*turns.rate)) * rng.choice((-1.0, 1.0))
         k, turning = k + stay, not turning
@@ -188,10 +191,11 @@ def draw_losses(
         rng: where the random numbers come from, T or T·m of them.
     """
     steps = len(regime)
-    table = np.array([(*kind.transition, kind.rate) for kind in kinds])
+    which = np.array([kinds.index(kind) for kind in kinds])[regime]  # bursts outlast like regimes
+    table = np.array([(*kind.transition, kind.rate, kind.per_component) for kind in kinds])
     columns = m if any(kind.per_component for kind in kinds) else 1
     lost = np.zeros((steps, columns), dtype=np.bool_)
-    lose(table, regime, rng.random((steps, columns)), lost)
+    lose(table, which, rng.random((steps, columns)), lost)
     lost = np.repeat(lost, m // columns, axis=1) if columns == 1 else lost
     gap = steps / max(base.outages, 1)
     for i in range(base.outages):
@@ -201,13 +205,16 @@ def draw_losses(
 
 
 @kernel
-def lose(table, regime, u, lost):
-    """Gilbert-Elliott losses: rows of `table` are P(lost | received), P(lost | lost), P(lost)."""
+def lose(table, which, u, lost):
+    """Gilbert-Elliott losses: rows of `table` are P(lost | received), P(lost | lost), P(lost), apart.
+
+    Where a regime does not lose its components apart, they all follow the first one's draw.
+    """
     for k in range(lost.shape[0]):
-        g = regime[k]
+        g = which[k]
         for j in range(lost.shape[1]):
-            if k == 0 or regime[k - 1] != g:
+            if k == 0 or which[k - 1] != g:
                 p = table[g, 2]
             else:
                 p = table[g, 1] if lost[k - 1, j] else table[g, 0]
-            lost[k, j] = u[k, j] < p
+            lost[k, j] = u[k, j if table[g, 3] else 0] < p

@@ -7,6 +7,7 @@ updates twice, under R and 100 R, and is collapsed to the moments of the two.
 import math
 
 import numpy as np
+from scipy.special import logsumexp
 
 from tests.twins.gaussian import Log, at, judge
 
@@ -73,22 +74,22 @@ def bank(
         innovation, nis, likelihood = judge(F @ x, P_prior, y[k], H, r * mean_r * R, got)
 
         if got.any():
-            densities = np.empty(J)
+            evidence = np.empty(J)
             for j, mode in enumerate(table):
-                odds = [1.0 - rate, rate] if mode[2] else [1.0]
+                odds = [1.0 - rate, rate] if mode[2] and rate > 0 else [1.0]
                 branches = [
                     axis_update(means[j], C[j], y[k].reshape(axes, s), h, here, r * mode[0] * c * noise)
                     for c in (1.0, OUTLIER_SCALE)[: len(odds)]
                 ]
-                shares = np.array([o * math.exp(b[2]) for o, b in zip(odds, branches, strict=True)])
-                densities[j] = shares.sum()
-                shares = shares / shares.sum()
+                shares = np.array([math.log(o) + b[2] for o, b in zip(odds, branches, strict=True)])
+                evidence[j] = logsumexp(shares)
+                shares = np.exp(shares - evidence[j])
                 means[j] = sum(p * b[0] for p, b in zip(shares, branches, strict=True))
                 C[j] = sum(
                     p * (b[1] + spread(b[0] - means[j])) for p, b in zip(shares, branches, strict=True)
                 )
-            likelihood = math.log(weight @ densities)
-            weight = weight * densities / (weight @ densities)
+            likelihood = logsumexp(np.log(weight) + evidence)
+            weight = np.exp(np.log(weight) + evidence - likelihood)
         x, P = combined(weight, means, C)
         log.add(x, P, innovation, nis, likelihood)
         weights.append(weight.reshape(modes.shape))
