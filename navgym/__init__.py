@@ -22,13 +22,13 @@ _HOME = {
     "ParameterSpace": "navgym.parameters",
     "Recording": "navgym.recording",
     "estimate": "navgym.estimation",
-    "filters": "navgym.estimation",
     "parameter_space": "navgym.estimation",
     "read": "navgym.readers",
-    "scenarios": "navgym.simulation",
     "seeds": "navgym.scenarios.seeds",
     "simulate": "navgym.simulation",
 }
+
+_PACKAGES = ("filters", "scenarios")  # callable: see navgym._callable
 
 __all__ = [
     "CoordinatedTurnModel",
@@ -59,6 +59,8 @@ if TYPE_CHECKING:
 
 
 def __getattr__(name: str) -> Any:
+    if name in _PACKAGES:
+        return importlib.import_module(f"navgym.{name}")
     if name not in _HOME:
         raise AttributeError(f"module 'navgym' has no attribute {name!r}")
     value = getattr(importlib.import_module(_HOME[name]), name)

@@ -240,9 +240,12 @@ def auv(rounds: int) -> list[Row]:
     ]  # fmt: skip
     rows: list[Row] = []
     for part in parts:
-        print(f"measuring: {part.__doc__ or ''}".split(",")[0].rstrip(".").lower(), file=sys.stderr)
+        print(f"measuring {part.__name__.replace('_', ' ')} ...", file=sys.stderr)
         found = part(rounds)
-        rows += found if isinstance(found, list) else [found]
+        more = found if isinstance(found, list) else [found]
+        for row in more:
+            print(f"  {row.what}: {row.found} (wanted: {row.wanted})", file=sys.stderr)
+        rows += more
     return rows
 
 

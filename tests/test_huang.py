@@ -30,6 +30,8 @@ FILTER = {
     "prior_count": 3.0,
     "forgetting": 1 - math.exp(-4),
     "initial_count": 3.0,
+    "initial_scale": 1.0,
+    "process_noise_scale": 1.0,
 }
 
 # Measured before this project by an independent prototype, 200-300 runs: m, m/s (SCIENCE C)

@@ -182,12 +182,19 @@ class Engine:
         scenario = self._scenarios[int(rng.integers(len(self._scenarios)))]
         return simulate_many(scenario, [first + int(rng.integers(SIZE))])[0]
 
-    def prepare(self, recordings: Sequence[Recording]) -> Shelf:
-        """Make recordings ready: run the reference filter, the frozen filter and the oracle."""
+    def prepare(
+        self, recordings: Sequence[Recording], place: NDArray[Any] | None = None
+    ) -> Shelf:
+        """Make recordings ready: run the reference filter, the frozen filter and the oracle.
+
+        The tapes (R, T) are written to `place`, if there is one of the right size.
+        """
         batch = Batch.of(recordings)
         self._check_usable(batch)
         n, m = batch.models.dtype["x0"].shape[0], batch.y.shape[2]
-        tapes = np.zeros(batch.y.shape[:2], K.tape_type(n, m))
+        fits = place is not None and place.shape == batch.y.shape[:2]
+        tapes = place if fits else np.zeros(batch.y.shape[:2], K.tape_type(n, m))
+        assert tapes is not None
         tapes["y"], tapes["lost"], tapes["time"] = batch.y, batch.lost, batch.time
         tapes["truth"] = np.nan if batch.truth is None else batch.truth
         for i, r in enumerate(recordings):
@@ -248,7 +255,8 @@ class Engine:
     def restart(self, i: int) -> None:
         """Put lane i at the start of a new recording."""
         if self._shared is None:
-            self._place(i, self.prepare([self._draw(self._generators[i])]))
+            place = self.shelf.tapes[i : i + 1]
+            self._place(i, self.prepare([self._draw(self._generators[i])], place))
             which = i
         else:
             which = int(self._generators[i].integers(len(self.shelf.lengths)))
@@ -261,7 +269,8 @@ class Engine:
     def _place(self, i: int, made: Shelf) -> None:
         """Put a newly made recording on lane i's own place of the shelf."""
         length = int(made.lengths[0])
-        self.shelf.tapes[i, :length] = made.tapes[0]
+        if not np.shares_memory(self.shelf.tapes, made.tapes):
+            self.shelf.tapes[i, :length] = made.tapes[0]
         self.shelf.models[i] = made.models[0]
         self.shelf.lengths[i] = length
         self.shelf.labels[i] = made.labels[0]

@@ -230,16 +230,20 @@ def set_parameters(station, action, table):
 
 
 @part
-def note(station, lane, model, received):
-    """Keep what the adaptive filter says of itself: R̂ over R, P̂ over P⁻, the last sweep's change."""
-    m = lane.y.shape[0]
+def count_loss(station, received, m):
+    """Keep track of what was lost and for how long."""
     for d in range(DECAYS.shape[0]):
         station.lost[d] += (1.0 - DECAYS[d]) * (1.0 - received / m - station.lost[d])
     station.since = 0.0 if received > 0 else station.since + 1.0
-    if received == 0:
-        return
+
+
+@part
+def note(station, lane, model):
+    """What the adaptive filter last said of itself: R̂ over R, P̂ over P⁻, the last sweep's change."""
     positions, position_count, velocities, velocity_count = 0.0, 0.0, 0.0, 0.0
-    for i in range(m):
+    ever = 0
+    for i in range(lane.y.shape[0]):
+        ever += lane.past_count[i]
         ratio = lane.R[i, i] / model.R[i, i]
         if station.kind[i] == 0:
             positions += ratio
@@ -251,11 +255,12 @@ def note(station, lane, model, received):
         station.noise[0] = log_square(positions / position_count)
     if velocity_count > 0.0:
         station.noise[1] = log_square(velocities / velocity_count)
-    wide = 0.0
-    for i in range(lane.x.shape[0]):
-        wide += lane.P_adapted[i] / lane.P_predicted[i, i]
-    station.widening = log_square(wide / lane.x.shape[0])
-    station.change = bounded(0.1 * math.log(lane.change + 1e-20) + 2.0)
+    if ever > 0:
+        wide = 0.0
+        for i in range(lane.x.shape[0]):
+            wide += lane.P_adapted[i] / lane.P_predicted[i, i]
+        station.widening = log_square(wide / lane.x.shape[0])
+        station.change = bounded(0.1 * math.log(lane.change + 1e-20) + 2.0)
 
 
 @part
@@ -336,7 +341,7 @@ def decide(lanes, stations, models, tapes, table, rule, actions, obs, out, trail
             adaptive_step(lane, model, sample, station, received)
             take(lane, sample)
             watch(station, lane, model, received)
-            note(station, lane, model, received)
+            count_loss(station, received, lane.y.shape[0])
             e = square_error(lane, sample, station)
             error += e
             reference += sample.reference_error
@@ -352,6 +357,7 @@ def decide(lanes, stations, models, tapes, table, rule, actions, obs, out, trail
                     trail[i, k, a] = lane.x[a]
         station.k = last
         sample = tapes[which, last - 1]
+        note(station, lane, models[which, min(last - 1, models.shape[1] - 1)])
         observe(station, sample, table, obs, i)
         reward, term = earn(rule[0].kind, clip, error, reference, relative, likelihood, count)
         failed = lane.diverged > 0

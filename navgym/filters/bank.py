@@ -96,7 +96,9 @@ def _listed(pairs: tuple[tuple[float, float], ...]) -> ModeSet:
 
 
 _SCALES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
-BANK = ModeSet(_SCALES, _grid(_SCALES, (1.0, 1.0, 100.0)), (False, True, False), (4.0, 2.0, 1.0), 0.1)
+BANK = ModeSet(
+    _SCALES, _grid(_SCALES, (1.0, 1.0, 100.0)), (False, True, False), (4.0, 2.0, 1.0), 0.1
+)
 IMM = _listed(((0.25, 1.0), (1.0, 1.0), (25.0, 1.0), (100.0, 1.0), (1.0, 100.0), (100.0, 100.0)))
 IMM_WIDE = _listed(
     tuple((r, 1.0) for r in _SCALES) + tuple((r, 100.0) for r in (0.1, 0.3, 1.0, 3.0, 10.0))

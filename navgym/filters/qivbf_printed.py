@@ -50,7 +50,7 @@ def lane_type(n: int, m: int) -> np.dtype[Any]:
 
 
 def estimate(
-    chosen: Filter,  # noqa: ARG001 - all families are called alike
+    chosen: Filter,
     batch: Batch,
     table: Array,
     interval: int,
@@ -63,7 +63,7 @@ def estimate(
 def begin(
     lanes: NDArray[Any],
     models: NDArray[Any],
-    parameters: NDArray[Any],  # noqa: ARG001 - all families are called alike
+    parameters: NDArray[Any],
 ) -> None:
     """Put the lanes (N,) at the start of their recordings."""
     start(lanes, models)

@@ -38,7 +38,7 @@ class Loss:
         within("loss rate", self.rate, 0.0, 1.0)
         if self.length is not None:
             least = max(1.0, self.rate / max(1 - self.rate, 1e-9))
-            if within("loss length", self.length, 1.0) < least:
+            if within("loss length", self.length, 1.0) < least * (1.0 - 1e-9):
                 raise ValueError(
                     f"loss length must be at least rate/(1-rate) = {least:g} samples, got "
                     f"{self.length}: between bursts at least one sample gets through."
@@ -66,7 +66,7 @@ class Regime:
         outlier_rate: probability that a sample's R is `outlier_scale` times larger still.
         outlier_scale: that factor.
         degrees: degrees of freedom of Student-t measurement noise; None for Gaussian noise.
-        loss: the losses of this regime; None for the scenario's own.
+        loss: the losses of this regime, as for a scenario; None for the scenario's own.
     """
 
     name: str = "nominal"
@@ -75,7 +75,7 @@ class Regime:
     outlier_rate: float = 0.0
     outlier_scale: float = 100.0
     degrees: float | None = None
-    loss: Loss | None = None
+    loss: Loss | float | None = None
 
     def __post_init__(self) -> None:
         for name in ("measurement_scale", "process_scale", "outlier_scale"):
@@ -153,7 +153,9 @@ class AUVScenario:
         if not isinstance(self.loss, Loss):
             object.__setattr__(self, "loss", Loss(self.loss))
         if not self.regimes or not all(isinstance(r, Regime) for r in self.regimes):
-            raise ValueError(f"regimes must be a tuple of at least one Regime, got {self.regimes!r}.")
+            raise ValueError(
+                f"regimes must be a tuple of at least one Regime, got {self.regimes!r}."
+            )
         span("dwell", self.dwell, 1, whole=True)
         for name in ("measurement_scale", "process_scale", "outlier_scale", "manoeuvre_scale"):
             if getattr(self, name) is not None:

@@ -15,7 +15,7 @@ def scenarios() -> dict[str, str]:
     return {f"auv/{s.name}": s.summary for s in CATALOGUE.values()}
 
 
-def find_scenario(name: str | AUVScenario, **overrides: Any) -> AUVScenario:
+def find_scenario(name: str | AUVScenario, /, **overrides: Any) -> AUVScenario:
     """The scenario called `name` ("auv/switch-D"), with some of its fields overridden.
 
     Raises ValueError, with the nearest name, for an unknown scenario or field.

@@ -17,7 +17,7 @@ from navgym._checks import Array
 from navgym._compile import kernel
 from navgym.models import Model, constant_velocity
 from navgym.recording import Recording
-from navgym.scenarios.auv import AUVScenario, Loss, Regime, Turns
+from navgym.scenarios.auv import AUVScenario, Loss, Regime
 from navgym.scenarios.seeds import split_of
 from navgym.turn_model import CoordinatedTurnModel
 
@@ -33,6 +33,7 @@ def simulate(scenario: AUVScenario, seeds: Sequence[int]) -> list[Recording]:
     time = scenario.dt * np.arange(1.0, scenario.steps + 1)
     base = scenario.loss
     assert isinstance(base, Loss)
+    kinds = [r.loss if isinstance(r.loss, Loss) else base for r in regimes]
     recordings = []
     for seed in seeds:
         split_of(seed)
@@ -48,7 +49,7 @@ def simulate(scenario: AUVScenario, seeds: Sequence[int]) -> list[Recording]:
             Recording(
                 time=time,
                 measurements=_wrapped(model.observe(truth) + np.sqrt(r)[:, None] * v, model),
-                lost=draw_losses(base, [r.loss or base for r in regimes], regime, model.m, loss),
+                lost=draw_losses(base, kinds, regime, model.m, loss),
                 truth=truth,
                 regime=regime,
                 model=model,

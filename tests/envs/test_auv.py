@@ -36,9 +36,7 @@ def square_error(estimate, recording):
 def test_an_episode_is_the_filter_run_on_a_schedule(interval):
     recording = recording_of(3, loss=0.3)
     names = ("vb_iterations", "prior_count", "forgetting", "process_noise_scale", "fill")
-    env = AUVDropoutEnv(
-        recordings=[recording], decision_interval=interval, action_parameters=names
-    )
+    env = AUVDropoutEnv(recordings=[recording], decision_interval=interval, action_parameters=names)
     decisions = -(-len(recording) // interval)
     actions = np.random.default_rng(1).uniform(-1, 1, (decisions, len(names))).astype(np.float32)
     outcomes = episode(env, actions)

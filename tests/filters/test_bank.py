@@ -62,7 +62,9 @@ def test_shared_covariance_agrees_with_its_twin(problem, chosen):
 
 
 @pytest.mark.parametrize("name", MODE_SETS)
-@pytest.mark.parametrize(("scenario", "axes"), [("auv/component-loss", FULL), ("auv/switch-B", SHARED)])
+@pytest.mark.parametrize(
+    ("scenario", "axes"), [("auv/component-loss", FULL), ("auv/switch-B", SHARED)]
+)
 def test_names_mean_their_modes_and_take_the_path_that_applies(name, scenario, axes):
     recording = navgym.simulate(scenario, 4, steps=40)
     chosen = (2.0, 3.0, 0.98, 0.95, 0.1) if name == "bank" else (2.0, 3.0, 0.98, 1.0, 0.0)
@@ -184,7 +186,12 @@ def test_log_likelihood_prefers_the_true_noise_scale():
 
 def axes_model(**changed):
     rng = np.random.default_rng(1)
-    parts = {"F": rng.standard_normal((2, 2)), "Q": spd(rng, 2), "R": spd(rng, 2), "P0": spd(rng, 2)}
+    parts = {
+        "F": rng.standard_normal((2, 2)),
+        "Q": spd(rng, 2),
+        "R": spd(rng, 2),
+        "P0": spd(rng, 2),
+    }
     return {name: np.kron(np.eye(2), M) for name, M in parts.items()} | changed
 
 

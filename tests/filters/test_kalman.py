@@ -60,7 +60,9 @@ def test_a_component_that_is_never_received_might_as_well_not_exist():
     R = np.eye(4) + 0.3
     lost = whole.lost | np.array([False, True, False, True])
     model = navgym.LinearModel(R=R)
-    found = navgym.estimate("kf", navgym.Recording(whole.time, whole.measurements, lost, model=model))
+    found = navgym.estimate(
+        "kf", navgym.Recording(whole.time, whole.measurements, lost, model=model)
+    )
     half = navgym.LinearModel(R=R[::2, ::2], H=np.eye(4)[::2])
     part = navgym.Recording(whole.time, whole.measurements[:, ::2], whole.lost[:, ::2], model=half)
     same(vars(found), vars(navgym.estimate("kf", part)), 1e-12, ("states", "covariances", "nis"))
@@ -93,7 +95,8 @@ def test_extrapolation_uses_true_times_of_the_last_three_received():
     lost = recording.lost.copy()
     lost[[0, 2]] = True
     found = navgym.estimate(
-        "kf_extrapolate", navgym.Recording(times, recording.measurements, lost, model=recording.model)
+        "kf_extrapolate",
+        navgym.Recording(times, recording.measurements, lost, model=recording.model),
     )
     np.testing.assert_allclose(found.states[-2:, 0], 3.0 - 2.0 * times[-2:] + 0.5 * times[-2:] ** 2)
 

@@ -9,7 +9,15 @@ import navgym
 from navgym.batch import Batch
 from navgym.estimation import run
 from navgym.filters.catalogue import CATALOGUE
-from tests.helpers import NAMES, assert_definite, identical, problems, random_model, random_problem, same
+from tests.helpers import (
+    NAMES,
+    assert_definite,
+    identical,
+    problems,
+    random_model,
+    random_problem,
+    same,
+)
 
 LINEAR = [f.name for f in CATALOGUE.values() if not f.nonlinear]
 SOUND = [name for name in LINEAR if name not in ("qivbf_printed", "oracle")]

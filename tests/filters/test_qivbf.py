@@ -49,7 +49,13 @@ def test_predict_only_agrees_with_its_twin(problem, tuning):
 def test_quadratic_fill_agrees_with_its_twin(problem, tuning, c):
     found = vb(problem.recording, **tuning, fill=qivbf.EXTRAPOLATE, inflation=c)
     twin = variational(
-        problem.model, problem.time, problem.y, problem.lost, **tuning, fill="extrapolate", inflation=c
+        problem.model,
+        problem.time,
+        problem.y,
+        problem.lost,
+        **tuning,
+        fill="extrapolate",
+        inflation=c,
     )
     del twin["noise"]
     same(found, twin)
@@ -135,9 +141,21 @@ def test_sweeps_converge_to_a_fixed_point_of_the_coordinate_updates():
     model, lane = problem.model, found["lane"]
     P = model.F @ model.P0 @ model.F.T + model.Q
     again = vb_step(
-        model.F @ model.x0, P, model.R, 0.97 * 5.0, problem.y[0], model.H, ~problem.lost[0], 401, 3.0
+        model.F @ model.x0,
+        P,
+        model.R,
+        0.97 * 5.0,
+        problem.y[0],
+        model.H,
+        ~problem.lost[0],
+        401,
+        3.0,
     )
-    for mine, theirs in zip((found["states"][0], found["covariances"][0], lane["P_prior"], lane["R"]), again, strict=True):
+    for mine, theirs in zip(
+        (found["states"][0], found["covariances"][0], lane["P_prior"], lane["R"]),
+        again,
+        strict=True,
+    ):
         np.testing.assert_allclose(mine, theirs, rtol=1e-9, atol=1e-12)
     assert lane["change"] < 1e-20
 
@@ -149,7 +167,9 @@ def test_a_component_that_is_never_received_might_as_well_not_exist():
     R = np.eye(4)
     R[0, 2] = R[2, 0] = 0.4
     model = navgym.LinearModel(R=R)
-    found = navgym.estimate("vbakf", navgym.Recording(whole.time, whole.measurements, lost, model=model))
+    found = navgym.estimate(
+        "vbakf", navgym.Recording(whole.time, whole.measurements, lost, model=model)
+    )
     half = navgym.LinearModel(R=R[::2, ::2], H=np.eye(4)[::2])
     part = navgym.Recording(whole.time, whole.measurements[:, ::2], whole.lost[:, ::2], model=half)
     same(vars(found), vars(navgym.estimate("vbakf", part)), 1e-11, ("states", "covariances", "nis"))
@@ -200,45 +220,3 @@ def test_the_filter_recovers_at_once_from_a_long_outage(forgetting):
 
     plain = {"process_noise_scale": 1.0, "vb_iterations": 5, "prior_count": 5.0}
     assert rmse("vbakf", plain | {"forgetting": forgetting}) < 1.15 * rmse("kf", None)
-
-
-def huang(runs, steps=1000):
-    """The tracking example of Huang et al. 2018: (recordings, time-varying true scales of Q, R)."""
-    rng = np.random.default_rng(7)
-    block = np.array([[1 / 3, 1 / 2], [1 / 2, 1.0]])
-    Q = np.kron(block, np.eye(2))
-    R = 100.0 * np.array([[1.0, 0.5], [0.5, 1.0]])
-    F = np.eye(4) + np.eye(4, k=2)
-    k = np.arange(1, steps + 1)
-    q, r = 6.5 + 0.5 * np.cos(np.pi * k / 1000), 0.1 + 0.05 * np.cos(np.pi * k / 1000)
-    parts = {"F": F, "H": np.eye(2, 4), "x0": [100.0, 100.0, 10.0, 10.0], "P0": 100.0 * np.eye(4)}
-    x = parts["x0"] + 10.0 * rng.standard_normal((runs, 4))
-    truth, y = np.empty((runs, steps, 4)), np.empty((runs, steps, 2))
-    for i in range(steps):
-        x = x @ F.T + np.sqrt(q[i]) * rng.standard_normal((runs, 4)) @ np.linalg.cholesky(Q).T
-        v = np.sqrt(r[i]) * rng.standard_normal((runs, 2)) @ np.linalg.cholesky(R).T
-        truth[:, i], y[:, i] = x, x[:, :2] + v
-    nominal = navgym.LinearModel(**parts, Q=np.eye(4), R=100.0 * np.eye(2))
-    true = navgym.LinearModel(**parts, Q=q[:, None, None] * Q, R=r[:, None, None] * R)
-    return [
-        [navgym.Recording(k, y[i], truth=truth[i], model=model) for i in range(runs)]
-        for model in (nominal, true)
-    ]
-
-
-def test_published_example_of_huang_is_reproduced():
-    """Huang et al. 2018: N = 10, τ_P = τ_R = 3, ρ = 1 - e⁻⁴; RMSE over runs, averaged over time."""
-    nominal, true = (Batch.of(r) for r in huang(60))
-    tuning = {
-        "vb_iterations": 10, "prior_count": 3.0, "forgetting": 1 - np.exp(-4.0),
-        "initial_count": 3.0, "initial_scale": 1.0, "process_noise_scale": 1.0,
-    }  # fmt: skip
-
-    def rmse(name, batch, parameters=None, first=0):
-        error = ((run(name, batch, parameters)["states"] - batch.truth) ** 2)[:, first:]
-        return [np.sqrt(error[..., i : i + 2].sum(-1).mean(0)).mean() for i in (0, 2)]
-
-    assert rmse("kf", nominal) == pytest.approx([9.70, 6.19], rel=0.015)
-    assert rmse("kf", true) == pytest.approx([3.698, 3.837], rel=0.015)
-    assert rmse("vbakf", nominal, tuning) == pytest.approx([4.12, 4.56], rel=0.015)
-    assert rmse("vbakf", nominal, tuning, 500) == pytest.approx([3.28, 4.06], rel=0.015)

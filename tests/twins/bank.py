@@ -78,7 +78,9 @@ def bank(
             for j, mode in enumerate(table):
                 odds = [1.0 - rate, rate] if mode[2] and rate > 0 else [1.0]
                 branches = [
-                    axis_update(means[j], C[j], y[k].reshape(axes, s), h, here, r * mode[0] * c * noise)
+                    axis_update(
+                        means[j], C[j], y[k].reshape(axes, s), h, here, r * mode[0] * c * noise
+                    )
                     for c in (1.0, OUTLIER_SCALE)[: len(odds)]
                 ]
                 shares = np.array([math.log(o) + b[2] for o, b in zip(odds, branches, strict=True)])
@@ -86,7 +88,8 @@ def bank(
                 shares = np.exp(shares - evidence[j])
                 means[j] = sum(p * b[0] for p, b in zip(shares, branches, strict=True))
                 C[j] = sum(
-                    p * (b[1] + spread(b[0] - means[j])) for p, b in zip(shares, branches, strict=True)
+                    p * (b[1] + spread(b[0] - means[j]))
+                    for p, b in zip(shares, branches, strict=True)
                 )
             likelihood = logsumexp(np.log(weight) + evidence)
             weight = np.exp(np.log(weight) + evidence - likelihood)

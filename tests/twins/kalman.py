@@ -73,8 +73,8 @@ def conditioned(model, y, lost):
             v = np.array([y[j, i] - at(model.H, j)[i] @ means[j] for j, i in pairs])
             S = C @ noise @ C.T
             for a, (j, i) in enumerate(pairs):
-                for b, (l, h) in enumerate(pairs):
-                    S[a, b] += at(model.R, j)[i, h] if j == l else 0.0
+                for b, (g, h) in enumerate(pairs):
+                    S[a, b] += at(model.R, j)[i, h] if j == g else 0.0
             gain = np.linalg.solve(S, C @ noise @ reach[k].T).T
             states[k] = means[k] + gain @ v
             covariances[k] = prior - gain @ C @ noise @ reach[k].T

@@ -1,0 +1,109 @@
+"""Comparisons as tables, for pages and terminals alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from navgym.parameters import ParameterSpace
+from tuning.comparison import Comparison, Row
+from tuning.report import Table
+
+NOTHING = "–"
+
+
+def ladder(found: Comparison, own: Sequence[str] = (), caption: str = "") -> Table:
+    """A comparison from the smallest to the largest error."""
+    rows = sorted(found.rows, key=lambda r: r.mean)
+    scored = any(math.isfinite(r.score) for r in rows)
+    head = ["filter", "RMSE, m", "median", "diverged", f"gain over {found.reference}", "p"]
+    head += ["score"] if scored else []
+    head.append("µs/step")
+    cells = []
+    for row in rows:
+        line = [_label(row), error(row), metres(row.median), percent(row.divergence_rate)]
+        line += [NOTHING, NOTHING] if row.label == found.reference else [gain(row), p_value(row)]
+        line += [number(row.score)] if scored else []
+        cells.append([*line, f"{found.microseconds[row.label]:.1f}"])
+    return Table(head, cells, caption, kinds(rows, own))
+
+
+def _label(row: Row) -> str:
+    return f"{row.label} (bound)" if row.bound else row.label
+
+
+def kinds(rows: Sequence[Row], own: Sequence[str] = ()) -> list[str]:
+    """Which rows to set off: bounds, what diverged, the best that can be had, what was tuned."""
+    best = min((r for r in rows if not r.bound), key=lambda r: r.mean).label
+    return [
+        "bound" if r.bound
+        else "diverged" if r.diverges
+        else "best" if r.label == best
+        else "own" if r.label in own
+        else ""
+        for r in rows
+    ]  # fmt: skip
+
+
+def by_condition(
+    found: Mapping[str, Comparison], own: Sequence[str] = (), caption: str = ""
+) -> Table:
+    """One column of errors per comparison, rows in the order of the last one."""
+    last = list(found.values())[-1]
+    rows = sorted(last.rows, key=lambda r: r.mean)
+    cells = [[_label(r), *(error(c[r.label]) for c in found.values())] for r in rows]
+    return Table(["filter", *found], cells, caption, kinds(rows, own))
+
+
+def parameters(space: ParameterSpace, sets: Mapping[str, Mapping[str, Any]], caption: str) -> Table:
+    """Parameter sets beside each other, with symbol and range."""
+    head = ["parameter", "symbol", "range", *sets]
+    rows = []
+    for p in space:
+        limits = " | ".join(p.choices) if p.choices else f"{p.low:g} … {p.high:g}"
+        values = [_value(values.get(p.name, p.show(p.default))) for values in sets.values()]
+        rows.append([p.name, p.symbol, limits, *values])
+    return Table(head, rows, caption, text_columns=(0, 1))
+
+
+def _value(value: Any) -> str:
+    return value if isinstance(value, str) else f"{value:.4g}"
+
+
+def error(row: Row) -> str:
+    """Mean with half its interval; the median where the mean says nothing."""
+    if row.diverges:
+        return "diverges"
+    return f"{row.mean:.3f} ± {row.high - row.mean:.3f}"
+
+
+def metres(value: float) -> str:
+    """A length, short."""
+    if not math.isfinite(value):
+        return NOTHING
+    return f"{value:.3f}" if value < 100 else f"{value:.3g}"
+
+
+def percent(value: float) -> str:
+    """A share, in whole percent unless it is small."""
+    return f"{100 * value:.1f} %" if 0.0 < value < 0.1 else f"{100 * value:.0f} %"
+
+
+def gain(row: Row) -> str:
+    """Relative gain with its interval."""
+    if row.diverges or not math.isfinite(row.gain):
+        return NOTHING
+    return f"{100 * row.gain:+.1f} % [{100 * row.gain_low:+.1f}, {100 * row.gain_high:+.1f}]"
+
+
+def p_value(row: Row) -> str:
+    """A p-value, no more exact than its permutations allow."""
+    if not math.isfinite(row.p_value):
+        return NOTHING
+    return "≤ .001" if row.p_value <= 0.001 else f"{row.p_value:.3f}".lstrip("0")
+
+
+def number(value: float) -> str:
+    """A score."""
+    return f"{value:.2f}" if math.isfinite(value) and abs(value) < 100 else NOTHING
