@@ -1,55 +1,71 @@
 """Compile every kernel for the usual model sizes: `python -m navgym.warm`.
 
-Compiled code is cached on disk, so a second run takes a second or two. Other model sizes compile
-when they are first used, which takes some seconds per filter.
+Compiled code is cached on disk, so a second run takes a few seconds. Other model sizes compile when
+they are first used, which takes some seconds per filter.
 """
 
 from __future__ import annotations
 
-import functools
+import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
 
 import navgym
 from navgym.filters.catalogue import CATALOGUE
 from navgym.turn_model import CoordinatedTurnModel
 
+ENVIRONMENT = "environment"
+# what takes longest to compile comes first, so that no process is left with it at the end
+SLOW = (ENVIRONMENT, "cukf", "bank", "qivbf")
+SCENARIOS = ("nominal", "position-only", "component-loss", "coordinated-turn")
 
-def _tasks() -> Iterator[tuple[str, Callable[[], object]]]:
-    for scenario in ("nominal", "position-only", "component-loss", "coordinated-turn"):
-        recording = navgym.simulate(f"auv/{scenario}", steps=3)
+
+def jobs() -> list[tuple[str, str]]:
+    """Pairs (what, scenario) that together touch every kernel."""
+    found = [(ENVIRONMENT, "switch-D"), (ENVIRONMENT, "position-only")]
+    seen = set()
+    for scenario in SCENARIOS:
+        model = navgym.simulate(f"auv/{scenario}", steps=3).model
+        turning = isinstance(model, CoordinatedTurnModel)
         for name, chosen in CATALOGUE.items():
-            if isinstance(recording.model, CoordinatedTurnModel) and not chosen.nonlinear:
-                continue
-            yield f"{name} on {scenario}", functools.partial(navgym.estimate, name, recording)
-    for scenario in ("auv/switch-D", "auv/position-only"):
-        yield f"environment on {scenario}", functools.partial(_try_environment, scenario)
+            # one filter stands for its family; the linear ones need no turning model
+            key = (chosen.family, scenario)
+            if key not in seen and chosen.nonlinear >= turning:
+                seen.add(key)
+                found.append((name, scenario))
+    return sorted(found, key=lambda job: SLOW.index(job[0]) if job[0] in SLOW else len(SLOW))
 
 
-def _try_environment(scenario: str) -> None:
+def compile_one(what: str, scenario: str) -> str:
+    """Run one job on three samples; returns what it was."""
+    if what != ENVIRONMENT:
+        navgym.estimate(what, navgym.simulate(f"auv/{scenario}", steps=3))
+        return f"{what} on {scenario}"
     import gymnasium
 
-    env = gymnasium.make("navgym/AUVDropout-v0", scenario=scenario, overrides={"steps": 10})
+    env = gymnasium.make(
+        "navgym/AUVDropout-v0", scenario=f"auv/{scenario}", overrides={"steps": 10}
+    )
     env.reset(seed=0)
     env.step(env.action_space.sample())
     env.close()
-
-
-def _show(text: str) -> None:
-    """Rewrite the terminal's current line; nothing where the output is no terminal."""
-    if sys.stderr.isatty():
-        sys.stderr.write(f"\r\x1b[K{text}")
-        sys.stderr.flush()
+    return f"environment on {scenario}"
 
 
 def main() -> None:
-    """Compile what is not yet compiled, showing what takes time."""
+    """Compile what is not yet compiled, showing how far it is."""
     began = time.perf_counter()
-    for what, task in _tasks():
-        _show(f"compiling kernels: {what}")
-        task()
-    _show("")
+    todo = jobs()
+    with ProcessPoolExecutor(min(len(todo), os.cpu_count() or 1)) as pool:
+        running = [pool.submit(compile_one, *job) for job in todo]
+        for done, job in enumerate(as_completed(running), start=1):
+            if sys.stderr.isatty():
+                text = f"compiling kernels, {done} of {len(todo)}: {job.result()}"
+                sys.stderr.write(f"\r\x1b[K{text}")
+            job.result()
+    if sys.stderr.isatty():
+        sys.stderr.write("\r\x1b[K")
     print(f"navgym {navgym.__version__}: kernels ready after {time.perf_counter() - began:.1f} s")
 
 

@@ -3,8 +3,8 @@
     python scripts/demo.py             tune, compare, replay real tracks, write the page
     python scripts/demo.py --quick     the same, shortened to well under a minute
 
-1. tunes QIVBF with Optuna on training seeds of the scenario auv/switch-D; the study is kept in a
-   journal under --out, so Ctrl-C loses nothing and the same command goes on where it stopped;
+1. tunes QIVBF with Optuna on training seeds of the scenario auv/switch-D. The study is kept in a
+   journal under --out: Ctrl-C loses nothing, and the same command goes on where it stopped;
 2. runs the default, the tuned and every other filter on fresh test seeds, all on the same
    recordings, so that differences are paired;
 3. replays real tracks (A-KIT, 1 to 6) at 10, 30 and 50 % loss with every filter, at its defaults
@@ -18,66 +18,70 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-REPOSITORY = Path(__file__).resolve().parents[1]
-BESIDE = REPOSITORY.parent / "shared" / "data" / "akit"
-SCENARIO = "auv/switch-D"
-DEFAULT, TUNED, UNTUNED = "qivbf (default)", "qivbf (tuned)", "qivbf (untuned)"
-SHOWN = ("kf", TUNED, "imm", "bank")
-REPLAYED = ("kf", "kf_extrapolate", DEFAULT, "qivbf (tuned on tracks)", "bank")
+BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data" / "akit"
 
 
-@dataclass(frozen=True)
-class Size:
-    """How much is run: recordings, steps and trials of each part."""
-
-    trials: int
-    train: int
-    test: int
-    steps: int | None
-    draws: int
-    track_trials: int
-
-
-FULL = Size(trials=120, train=40, test=300, steps=None, draws=10, track_trials=50)
-QUICK = Size(trials=20, train=40, test=60, steps=400, draws=2, track_trials=8)
-
-
-def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
+def parse() -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    add("--trials", type=int, help=f"finished trials of the study (default: {FULL.trials})")
-    add("--runs", type=int, help=f"fresh recordings to compare on (default: {FULL.test})")
-    add("--seed", type=int, default=0, help="of the study's sampler (default: 0)")
-    add("--out", type=Path, default=Path("runs/demo"), help="folder to write to (default: %(default)s)")
-    add("--data", type=Path, help="folder with the A-KIT tracks (default: shared/data/akit beside the repository, if it exists)")
-    add("--quick", action="store_true", help="a shortened demo, for a first look and for CI")
-    return parser.parse_args(arguments)
+    add("--trials", type=int, help="finished trials of the study (default: 120)")
+    add("--runs", type=int, help="fresh recordings to compare on (default: 300)")
+    add("--seed", type=int, default=0, help="of the studies' samplers (default: %(default)s)")
+    add("--out", type=Path, default=Path("runs/demo"), help="folder (default: %(default)s)")
+    add(
+        "--data", type=Path, help="folder of the A-KIT tracks "
+        "(default: ../shared/data/akit beside the repository, if it is there)",
+    )  # fmt: skip
+    add("--quick", action="store_true", help="shortened, for a first look and for CI")
+    return parser.parse_args()
 
 
 def main() -> int:
     """Run the demo; returns the exit status."""
     options = parse()
+    from tuning import demo
+
     began = time.perf_counter()
+    size = demo.QUICK if options.quick else demo.FULL
+    size = replace(size, trials=options.trials or size.trials, test=options.runs or size.test)
     try:
-        found = Demo(options)
-        found.run()
+        return show(options, size, began)
+    except demo.Interrupted as stop:
+        best = stop.outcome.best
+        print(f"\nstopped after {len(stop.outcome.trials)} trials: the best so far has "
+              f"{best.result:.4g} m with {dict(best.values)}")  # fmt: skip
     except KeyboardInterrupt:
-        print(
-            f"\nStopped. Finished trials are kept under {options.out}; the same command goes on.",
-            file=sys.stderr,
-        )
-        return 130
-    except (ValueError, FileNotFoundError) as error:
+        print("\nstopped")
+    except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    print(found.summary())
-    print(f"\n{found.page}  ({time.perf_counter() - began:.0f} s)")
+    print(f"finished trials are kept in {options.out}: the same command goes on from there")
+    return 130
+
+
+def show(options: argparse.Namespace, size: object, began: float) -> int:
+    """Run, write the page and the results, print the table and the path."""
+    from tuning import demo, report
+
+    assert isinstance(size, demo.Size)
+    folder = options.data or (BESIDE if BESIDE.is_dir() else None)
+    data = f"A-KIT, {options.data or '../shared/data/akit'}" if folder else "simulated stand-in"
+    print(f"tracks: {data}")
+    found = demo.run(size, options.seed, options.out, folder)
+    seeds = {"tuning": "training", "choice among leaders": "validation", "all figures": "test"}
+    basis = report.provenance("demo.py", tracks=data, seeds=seeds, sampler_seed=options.seed)
+    report.write_json(options.out / "results.json", demo.results(found, basis))
+    path = report.write_page(options.out / "report.html", demo.page(found, basis))
+    print(f"\n{demo.table(found).as_text()}\n\nreport: {path}")
+    print(f"{time.perf_counter() - began:.0f} s in all")
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
