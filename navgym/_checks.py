@@ -24,18 +24,51 @@ def one_of(kind: str, name: object, choices: Iterable[str]) -> str:
     raise ValueError(f"unknown {kind} {name!r}.{hint} Known: {', '.join(sorted(known))}.")
 
 
+NO_NUMBERS = {
+    "c": "complex numbers: take their real part, or real and imaginary part as two components",
+    "M": "dates: turn them into seconds, for example (t - t[0]) / np.timedelta64(1, 's')",
+    "m": "durations: turn them into seconds, for example dt / np.timedelta64(1, 's')",
+    "U": "text: turn it into numbers first, for example with float",
+    "S": "bytes: turn them into numbers first, for example with float",
+    "V": "records: take the fields that are meant, one by one",
+}  # by numpy's letter for the kind
+
+
 def real_array(field: str, value: ArrayLike, finite: bool = True) -> Array:
     """`value` as a new float64 array; ValueError if it is not numeric or (by default) not finite."""
     try:
-        array = np.array(value, dtype=np.float64)
+        given = np.array(value)
+    except ValueError:
+        shown = _short(value)
+        raise ValueError(
+            f"{field} must be an array of numbers, got {shown}: make its rows equally long."
+        ) from None
+    kind = given.dtype.kind
+    if kind == "O" and any(isinstance(item, (str, bytes)) for item in given.flat):
+        kind = "U"
+    if kind in NO_NUMBERS:
+        raise ValueError(
+            f"{field} must be an array of numbers, got {_short(value)}, which holds "
+            f"{NO_NUMBERS[kind]}."
+        )
+    try:
+        array = given.astype(np.float64, copy=False)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{field} must be an array of numbers, got {value!r}: {error}") from None
+        raise ValueError(
+            f"{field} must be an array of numbers, got {_short(value)}: {error}."
+        ) from None
     if finite and not np.isfinite(array).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise ValueError(
             f"{field} must be finite, got {array[where]} at index {where}: remove or repair it."
         )
     return array
+
+
+def _short(value: object) -> str:
+    """The beginning of `value` as it would be typed."""
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 def shaped(field: str, array: NDArray[Any], shape: tuple[int, ...], because: str) -> None:

@@ -86,13 +86,13 @@ def _later(time: Array, length: int) -> Array:
 
 
 def outputs(batch: Batch, n: int, m: int, everything: bool) -> dict[str, Array]:
-    """Empty output arrays for the kernels; those not asked for have length 0."""
+    """Output arrays for the kernels, NaN past a recording's end; those not asked for are empty."""
     count, steps = batch.y.shape[:2]
     rest = steps if everything else 0
     return {
-        "states": np.empty((count, steps, n)),
-        "covariances": np.empty((count, rest, n, n)),
-        "innovations": np.empty((count, rest, m)),
-        "nis": np.empty((count, rest)),
-        "log_likelihood": np.empty((count, rest)),
+        "states": np.full((count, steps, n), np.nan),
+        "covariances": np.full((count, rest, n, n), np.nan),
+        "innovations": np.full((count, rest, m), np.nan),
+        "nis": np.full((count, rest), np.nan),
+        "log_likelihood": np.full((count, rest), np.nan),
     }

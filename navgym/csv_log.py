@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from navgym._checks import Array, one_of
+from navgym._checks import Array, one_of, within
 from navgym._tables import Table, read_table, write_table
 from navgym.models import LinearModel, Model, step_of
-from navgym.readers import positive
 from navgym.recording import Recording
 
 STATES = ("px", "vx", "py", "vy")
@@ -71,8 +70,14 @@ def read_csv(
             times that do not increase, unknown or missing columns, a file that is empty or not
             text, a log without any received measurement.
     """
-    positive("time_scale", time_scale)
+    scales = {
+        "time_scale": time_scale, "position_noise": position_noise,
+        "velocity_noise": velocity_noise, "acceleration": acceleration,
+    }  # fmt: skip
+    for name, value in scales.items():
+        within(name, value, 0.0, above=True)
     one_of("extra", extra, ("raise", "ignore"))
+    _check_kinds(columns, model)
     table = _renamed(read_table(path, delimiter), columns, model)
     measured, states = _component_names(model) if model else (_measured(table), STATES)
     if extra == "raise":
@@ -132,6 +137,18 @@ def _meanings(measured: Sequence[str], states: Sequence[str]) -> list[str]:
     """Every column name that has a meaning beside these measurements and states."""
     flags = ["lost", *(f"lost_{name}" for name in measured)]
     return ["time", *measured, *flags, *(f"truth_{name}" for name in states), *ANNOTATIONS]
+
+
+def _check_kinds(columns: object, model: object) -> None:
+    if columns is not None and not isinstance(columns, Mapping):
+        raise ValueError(
+            "columns must be a dict from navgym's names to the file's, such as {'px': 'north (m)'}, "
+            f"got {columns!r}."
+        )
+    if model is not None and not hasattr(model, "pack"):
+        raise ValueError(
+            f"model must be a navgym.LinearModel or a navgym.CoordinatedTurnModel, got {model!r}."
+        )
 
 
 def _renamed(table: Table, columns: Mapping[str, str] | None, model: Model | None) -> Table:
@@ -196,9 +213,6 @@ def _default_model(
     time: Array, y: Array, measured: Sequence[str], sigmas: Array, acceleration: float
 ) -> LinearModel:
     """White acceleration over the log's own steps, started from its first fixes."""
-    for name, value in zip(("position_noise", "velocity_noise"), sigmas[:2], strict=True):
-        positive(name, value)
-    positive("acceleration", acceleration)
     rows = [STATES.index(name) for name in measured]
     dt = np.diff(time, prepend=2 * time[0] - time[1]) if len(time) > 1 else np.ones(1)
     spread = np.full((len(y), len(STATES)), np.nan)

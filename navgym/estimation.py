@@ -144,11 +144,16 @@ def _parameter_table(
 ) -> Array:
     """Parameters as (N or 1, intervals, columns), checked."""
     steps = batch.y.shape[1]
-    per_lane = isinstance(parameters, (list, tuple)) and all(
+    per_lane = isinstance(parameters, (list, tuple)) and any(
         isinstance(p, Mapping) for p in parameters
     )
+    if per_lane and not all(isinstance(p, Mapping) for p in parameters):
+        raise ValueError(f"parameters must hold dicts or numbers, not both, got {parameters!r}.")
     if per_lane and len(parameters) not in (1, len(batch)):
-        raise ValueError(f"parameters must hold one dict per recording, got {len(parameters)}.")
+        raise ValueError(
+            f"parameters must hold one dict per recording, got {len(parameters)} for "
+            f"{len(batch)} recordings."
+        )
     rows = [space.array(p) for p in parameters] if per_lane else [space.array(parameters)]
     most = -(-steps // decision_interval)
     for row in rows:

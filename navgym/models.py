@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navgym._checks import Array, covariance, one_of, real_array
+from navgym._frozen import Frozen
 
 if TYPE_CHECKING:
     from navgym.turn_model import CoordinatedTurnModel
@@ -34,7 +35,7 @@ def step_of(dt: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class LinearModel:
+class LinearModel(Frozen):
     """x_k = F x_{k-1} + w, w ~ N(0, Q);  z_k = H x_k + v, v ~ N(0, R)  (QIVBF eq. 1, corrected).
 
     The state [Px, Vx, Py, Vy] (m, m/s) with constant velocity over `dt` seconds is the default;
@@ -44,7 +45,7 @@ class LinearModel:
     state indices over which errors are reported.
 
     Args:
-        F: transition, (n, n) or (T, n, n). Give `F` or `dt`, not both.
+        F: transition, (n, n) or (T, n, n). Give `F` or `dt`; both only where they agree.
         H: measurement matrix, (m, n); the identity by default (all states measured).
         Q: process noise covariance, (n, n), positive semi-definite; QIVBF table 2 by default.
         R: measurement noise covariance, (m, m), positive definite; the identity by default.
@@ -72,15 +73,11 @@ class LinearModel:
     angles: ClassVar[tuple[int, ...]] = ()  # measurements in rad that wrap
 
     def __post_init__(self) -> None:
-        if self.F is not None and self.dt is not None:
-            raise ValueError(f"give F or dt, not both: F={self.F!r}, dt={self.dt!r}.")
-        default = self.F is None
-        dt = (1.0 if self.dt is None else self.dt) if default else None
-        F = constant_velocity(dt) if dt is not None else real_array("F", self.F)
+        F, dt = _transition(self.F, self.dt)
         if F.ndim not in (2, 3) or F.shape[-1] != F.shape[-2] or F.shape[-1] == 0:
             raise ValueError(f"F must be a square matrix (n, n) or (T, n, n), got {F.shape}.")
         n = F.shape[-1]
-        default = default or n == 4
+        default = n == 4
         H = check_matrix("H", np.eye(n) if self.H is None else self.H, (None, n), "n columns")
         m = H.shape[-2]
         Q = check_matrix(
@@ -98,12 +95,7 @@ class LinearModel:
             raise ValueError(
                 f"F, H, Q, R with a time axis must agree on its length, got {lengths}."
             )
-        fields = {"F": F, "H": H, "Q": Q, "R": R, "x0": x0, "P0": P0}
-        for name, array in fields.items():
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
-        if dt is not None:
-            object.__setattr__(self, "dt", real_array("dt", dt))
+        self._freeze({"F": F, "H": H, "Q": Q, "R": R, "x0": x0, "P0": P0, "dt": dt})
         pairs = (("position", (0, 2)), ("velocity", (1, 3)))
         for name, usual in pairs:
             object.__setattr__(self, name, _indices(name, getattr(self, name), usual, n))
@@ -171,10 +163,10 @@ class LinearModel:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The model as plain arrays, for a file; `model_from_arrays` reads them back."""
-        names = ("F", "H", "Q", "R", "x0", "P0", "position", "velocity")
-        return {"kind": np.array("linear")} | {
-            name: np.asarray(getattr(self, name)) for name in names
-        }
+        names = ("F", "H", "Q", "R", "x0", "P0", "dt", "position", "velocity")
+        fields = {name: getattr(self, name) for name in names}
+        known = {name: np.asarray(value) for name, value in fields.items() if value is not None}
+        return {"kind": np.array("linear")} | known
 
 
 Model: TypeAlias = "LinearModel | CoordinatedTurnModel"
@@ -213,6 +205,20 @@ def _selected(H: Array) -> NDArray[np.int64]:
     unit = (H == 1.0).sum(-1) == 1
     others = (H != 0.0).sum(-1) == 1
     return np.where(unit & others, np.argmax(H == 1.0, axis=-1), -1)
+
+
+def _transition(F: Any, dt: Any) -> tuple[Array, Array | None]:
+    """The transition, and the step that it was made from, if it was."""
+    if F is not None and dt is None:
+        return real_array("F", F), None
+    step = real_array("dt", 1.0 if dt is None else dt)
+    made = constant_velocity(step)
+    if F is not None and not np.array_equal(real_array("F", F), made):
+        raise ValueError(
+            f"give F or dt, not both, or an F that is the constant velocity over dt={dt!r}; got "
+            f"F={F!r}. To change the step of a model, replace both: F=None, dt=..."
+        )
+    return made, step
 
 
 def _default(value: Any, default: Array) -> Any:

@@ -32,6 +32,7 @@ class Parameter:
         integer: whether only whole numbers are admissible.
         equation: where it appears.
         choices: names of the values 0, 1, ... of a categorical parameter.
+        at_start: whether it acts at the first sample only, so that no schedule can move it.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Parameter:
     integer: bool = False
     equation: str = ""
     choices: tuple[str, ...] = ()
+    at_start: bool = False
 
     def __post_init__(self) -> None:
         one_of("scale", self.scale, SCALES)
@@ -149,18 +151,13 @@ class ParameterSpace:
                 array (parameters,) or (intervals, parameters) in the space's order, or None.
 
         Raises:
-            ValueError: for unknown names, wrong shapes or values outside their ranges.
+            ValueError: for unknown names, wrong shapes, values outside their ranges, or a schedule
+                of a parameter that acts at the start only.
         """
         if values is None:
             values = {}
         if not isinstance(values, Mapping):
-            table = np.atleast_2d(np.asarray(values, dtype=np.float64))
-            if table.ndim != 2 or table.shape[1] != len(self):
-                raise ValueError(
-                    f"a parameter array must have {len(self)} columns ({', '.join(self.names)}), "
-                    f"got shape {table.shape}."
-                )
-            values = dict(zip(self.names, table.T, strict=True))
+            values = dict(zip(self.names, self._rows(values).T, strict=True))
         for name in values:
             self.index(name)
         columns = [self._column(p, values.get(p.name, p.default)) for p in self.parameters]
@@ -173,13 +170,35 @@ class ParameterSpace:
             table[:, i] = column
         return table
 
+    def _rows(self, values: ArrayLike) -> Array:
+        """An array of parameters as (intervals, parameters)."""
+        wanted = (
+            "Expected: a dict, a list with one dict per recording, or an array (intervals, "
+            f"{len(self)}) with {len(self)} columns ({', '.join(self.names)})."
+        )
+        try:
+            table = np.atleast_2d(real_array("parameters", values))
+        except ValueError as error:
+            raise ValueError(f"{error} {wanted}") from None
+        if table.ndim != 2 or table.shape[1] != len(self) or len(table) == 0:
+            shape = np.shape(values)
+            raise ValueError(f"parameters has the wrong shape, got shape {shape}. {wanted}")
+        return table
+
     @staticmethod
     def _column(parameter: Parameter, value: Any) -> Array:
-        if isinstance(value, str) or np.ndim(value) == 0:
+        if isinstance(value, str) or not np.iterable(value):
             return np.array([parameter.check(value)])
-        if np.ndim(value) != 1 or len(value) == 0:
+        items = list(value)
+        if not items or any(np.iterable(v) and not isinstance(v, str) for v in items):
             raise ValueError(f"{parameter.name} must be a number or a list, got {value!r}.")
-        return np.array([parameter.check(v) for v in value])
+        column = np.array([parameter.check(v) for v in items])
+        if parameter.at_start and (column != column[0]).any():
+            raise ValueError(
+                f"{parameter.name} acts at the start only, so that it cannot change on the way, got "
+                f"{value!r}: give one number."
+            )
+        return column
 
     def table(self) -> Array:
         """Rows (warped low, warped high, scale code, integer) for kernels that map actions."""

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from navgym._checks import Array, one_of, positive_int
+from navgym._checks import Array, one_of, positive_int, within
 from navgym._tables import Table, read_table
 from navgym.models import LinearModel, step_of
 from navgym.recording import Recording
@@ -55,12 +55,6 @@ def read(format_name: str, path: str | os.PathLike[str], **options: Any) -> Reco
     for option in options:
         one_of(f"option of format {format_name!r}:", option, known)
     return reader(path, **options)
-
-
-def positive(field: str, value: float) -> None:
-    """ValueError unless `value` is a positive finite number."""
-    if not (math.isfinite(value) and value > 0.0):
-        raise ValueError(f"{field} must be a positive number, got {value}.")
 
 
 def read_akit(
@@ -101,7 +95,7 @@ def read_akit(
     """
     lossy = loss if isinstance(loss, Loss) else Loss(float(loss))
     split_of(seed)
-    positive("position_noise", position_noise)
+    within("position_noise", position_noise, 0.0, above=True)
     time, truth, dvl = _akit_track(Path(path), positive_int("track", track))
     if model is None:
         dt = step_of(np.diff(time))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -15,14 +14,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from navgym._atomic import replacing
 from navgym._checks import Array, real_array, shaped
+from navgym._frozen import Frozen
 from navgym.models import LinearModel, Model, model_from_arrays, step_of
 
 FORMAT = 1
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class Recording(Frozen):
     """Measurements of one voyage, with the model that a filter is to believe.
 
     Args:
@@ -89,11 +90,7 @@ class Recording:
                         f"{name} must be positive, got {arrays[name].min()}: it multiplies a "
                         "covariance."
                     )
-        for name, array in arrays.items():
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
-        object.__setattr__(self, "model", model)
-        object.__setattr__(self, "meta", json.loads(_json(self.meta)))
+        self._freeze(arrays | {"model": model, "meta": json.loads(_json(self.meta))})
 
     def __len__(self) -> int:
         return len(self.time)
@@ -104,20 +101,16 @@ class Recording:
         return float(self.lost.mean())
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the recording as npz, atomically and without pickle; returns the path."""
+        """Write the recording as npz, atomically and without pickle; returns the path.
+
+        Raises FileNotFoundError if the folder does not exist.
+        """
         arrays = {name: getattr(self, name) for name in _ARRAYS if getattr(self, name) is not None}
         arrays |= {f"model.{name}": value for name, value in self.model.arrays().items()}
         arrays["header"] = np.array(json.dumps({"navgym": FORMAT, "meta": dict(self.meta)}))
         target = Path(path)
-        with tempfile.NamedTemporaryFile(dir=target.parent, suffix=".tmp", delete=False) as file:
-            try:
-                np.savez_compressed(file, **arrays)
-                file.flush()
-                os.fsync(file.fileno())
-            except BaseException:
-                Path(file.name).unlink(missing_ok=True)
-                raise
-        Path(file.name).replace(target)
+        with replacing(target) as file:
+            np.savez_compressed(file, **arrays)
         return target
 
     @classmethod

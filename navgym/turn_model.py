@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navgym._checks import Array, covariance, real_array
+from navgym._frozen import Frozen
 from navgym.models import check_matrix, check_vector
 
 STATES, MEASUREMENTS = 5, 4
@@ -28,7 +29,7 @@ RECORD = np.dtype(
 
 
 @dataclass(frozen=True, eq=False)
-class CoordinatedTurnModel:
+class CoordinatedTurnModel(Frozen):
     """x_k = f(x_{k-1}) + w, w ~ N(0, Q);  z_k = h(x_k) + v, v ~ N(0, R)  (QIVBF eq. 5-6).
 
     The state is [Px, Vx, Py, Vy, ω] (m, m/s, rad/s): the linear model's four and a turn rate. So
@@ -90,9 +91,7 @@ class CoordinatedTurnModel:
         covariance("R", fields["R"], definite=True)
         covariance("P0", fields["P0"], definite=True)
         _defined(fields["x0"], fields["beacon"])
-        for name, array in fields.items():
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
+        self._freeze(fields)
         lengths = self._lengths()
         if len(lengths) > 1:
             raise ValueError(f"dt, Q, R with a time axis must agree on its length, got {lengths}.")

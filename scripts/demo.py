@@ -30,7 +30,7 @@ def parse() -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    add("--trials", type=int, help="finished trials of the study (default: 120)")
+    add("--trials", type=int, help="finished trials of the study (default: 200)")
     add("--runs", type=int, help="fresh recordings to compare on (default: 300)")
     add("--seed", type=int, default=0, help="of the studies' samplers (default: %(default)s)")
     add("--out", type=Path, default=Path("runs/demo"), help="folder (default: %(default)s)")

@@ -78,11 +78,15 @@ def test_the_last_row_holds_to_the_end():
     identical(navgym.estimate("kf", RECORDING, short), navgym.estimate("kf", RECORDING, long))
 
 
-def test_initial_values_are_those_of_the_first_row():
-    first = {"initial_scale": 20.0, "initial_count": 50.0}
-    schedule = {key: [value, 1.0] for key, value in first.items()}
-    found = navgym.estimate("qivbf", RECORDING, schedule)
-    identical(found, navgym.estimate("qivbf", RECORDING, first))
+@pytest.mark.parametrize("parameter", ["initial_scale", "initial_count"])
+def test_what_acts_at_the_start_only_follows_no_schedule(parameter):
+    message = rf"{parameter} acts at the start only.* got .*20.*2.*: give one number"
+    with pytest.raises(ValueError, match=message):
+        navgym.estimate("qivbf", RECORDING, {parameter: [20.0, 2.0]})
+    table = np.repeat(navgym.parameter_space("qivbf").array({parameter: 20.0}), 2, axis=0)
+    table[1, navgym.parameter_space("qivbf").index(parameter)] = 2.0
+    with pytest.raises(ValueError, match=message):
+        navgym.estimate("qivbf", RECORDING, table)
 
 
 @every
@@ -169,6 +173,8 @@ BAD = [
     (lambda: navgym.estimate("oracle", PLAIN), "'oracle' needs the true noise scales"),
     (lambda: navgym.estimate("kf", TURN), "'kf' needs a LinearModel"),
     (lambda: run("kf", Batch.of([PLAIN] * 3), [{}, {}]), "one dict per recording, got 2"),
+    (lambda: navgym.estimate("kf", PLAIN, [{}, 3]), "parameters must hold dicts or numbers, not"),
+    (lambda: navgym.estimate("kf", PLAIN, []), "parameters has the wrong shape, got shape (0,)"),
     (lambda: Batch.of([]), "at least one Recording, got none"),
     (lambda: Batch.of([PLAIN, navgym.simulate("auv/position-only", 0)]), "share one model size"),
     (lambda: navgym.simulate("auv/switchD"), "Did you mean 'auv/switch-D'"),

@@ -1,12 +1,15 @@
 """Linear models: defaults of the paper, packing, and what is no model."""
 
+import copy
+import dataclasses
+import pickle
 import re
 
 import numpy as np
 import pytest
 
-from navgym import LinearModel
-from navgym.models import constant_velocity
+from navgym import CoordinatedTurnModel, LinearModel
+from navgym.models import constant_velocity, model_from_arrays
 
 NAN = np.nan
 
@@ -102,6 +105,11 @@ BAD = [
     ({"x0": [1.0, 2.0]}, "x0", "(2,)"),
     ({"x0": [1.0, 2.0, 3.0, NAN]}, "x0", "nan at index (3,)"),
     ({"x0": "abcd"}, "x0", "'abcd'"),
+    ({"x0": list("1234")}, "x0", "text: turn it into numbers first"),
+    ({"x0": np.array(["1", 2, 3, 4], object)}, "x0", "text: turn it into numbers first"),
+    ({"x0": [1j, 0, 0, 0]}, "x0", "take their real part"),
+    ({"dt": np.array([1, 2], "m8[s]")}, "dt", "durations: turn them into seconds"),
+    ({"Q": [[1.0], [1.0, 2.0]]}, "Q", "make its rows equally long"),
     ({"dt": 0.0}, "dt", "0.0"),
     ({"dt": [1.0, -1.0]}, "dt", "-1.0"),
     ({"dt": NAN}, "dt", "nan"),
@@ -119,3 +127,24 @@ def test_bad_fields_are_refused_by_name_and_value(fields, field, value):
     with pytest.raises(ValueError, match=re.escape(field)) as caught:
         LinearModel(**fields)
     assert value in str(caught.value)
+
+
+@pytest.mark.parametrize("dt", [0.5, [1.0, 2.0, 0.5]])
+def test_a_model_made_from_a_step_can_be_changed_and_keeps_the_step(dt):
+    changed = dataclasses.replace(LinearModel(dt=dt), R=4.0 * np.eye(4))
+    for model in (changed, model_from_arrays(changed.arrays())):
+        np.testing.assert_array_equal(model.dt, dt)
+        np.testing.assert_array_equal(model.F, constant_velocity(dt))
+        np.testing.assert_array_equal(model.R, 4.0 * np.eye(4))
+    with pytest.raises(ValueError, match="replace both"):
+        dataclasses.replace(changed, dt=7.0)
+
+
+@pytest.mark.parametrize(
+    "again", [copy.copy, copy.deepcopy, lambda m: pickle.loads(pickle.dumps(m))]
+)
+@pytest.mark.parametrize("model", [LinearModel(dt=2.0), CoordinatedTurnModel()], ids=["cv", "turn"])
+def test_copies_and_pickles_stay_read_only(model, again):
+    for name, value in vars(again(model)).items():
+        assert not isinstance(value, np.ndarray) or not value.flags.writeable, name
+        np.testing.assert_array_equal(value, getattr(model, name))

@@ -37,15 +37,11 @@ def test_to_unit_is_the_inverse_of_from_unit(name, data):
     unit = data.draw(st.lists(st.floats(0, 1), min_size=len(space), max_size=len(space)))
     values = space.from_unit(unit)
     again = space.to_unit(values)
-    assert (
-        space.from_unit(again) == pytest.approx(values)
-        if not any(p.choices for p in space)
-        else list(space.from_unit(again)) == list(values)
-    )
-    for p, u, v in zip(space, unit, again, strict=True):
+    np.testing.assert_allclose(space.array(space.from_unit(again)), space.array(values), rtol=1e-9)
+    for p, place, found in zip(space, unit, again, strict=True):
         # a whole number stands for all places that round to it
-        width = 0.5 / (p.high - p.low) if p.integer else 1e-9
-        assert abs(u - v) <= width + 1e-9
+        width = 0.5 / (p.high - p.low) if p.integer else 0.0
+        assert abs(place - found) <= width + 1e-9
 
 
 @pytest.mark.parametrize("name", SPACES)
@@ -195,6 +191,15 @@ BAD = [
     (lambda: QIVBF.array({"prior_count": [1, 2], "forgetting": [0.9] * 3}), "[2, 3]"),
     (lambda: QIVBF.array([1.0, 2.0]), "8 columns (vb_iterations, prior_count"),
     (lambda: QIVBF.array(np.ones((1, 2, 8))), "got shape (1, 2, 8)"),
+    (lambda: QIVBF.array("abc"), "parameters must be an array of numbers, got 'abc'"),
+    (
+        lambda: QIVBF.array("abc"),
+        "Expected: a dict, a list with one dict per recording, or an array",
+    ),
+    (lambda: QIVBF.array([[1.0], [1.0, 2.0]]), "got [[1.0], [1.0, 2.0]]: make its rows equally"),
+    (lambda: QIVBF.array([1.0, "a"]), "parameters must be an array of numbers, got [1.0, 'a']"),
+    (lambda: QIVBF.array([math.nan] * 8), "parameters must be finite, got nan at index (0,)"),
+    (lambda: QIVBF.array({"prior_count": [[1], [2, 3]]}), "prior_count must be a number or a list"),
     (lambda: QIVBF["priorcount"], "Did you mean 'prior_count'"),
     (lambda: QIVBF.from_unit([0.5]), "unit must have shape (8,)"),
     (lambda: QIVBF.from_unit([math.nan] * 8), "unit must be finite, got nan at index (0,)"),

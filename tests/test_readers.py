@@ -168,7 +168,7 @@ def test_a_spoiled_track_names_file_line_and_column(eastward, kind, old, new, me
     [
         ({"tracks": 2}, "Did you mean 'track'"),
         ({"loss": 1.5}, "loss rate must lie in"),
-        ({"position_noise": 0.0}, "position_noise must be a positive number"),
+        ({"position_noise": 0.0}, "position_noise must be a finite number above 0"),
         ({"track": 1.0}, "track must be a whole number"),
         ({"seed": -1}, "seed must lie in"),
         ({"model": navgym.LinearModel(F=np.eye(2))}, "model must be a navgym.LinearModel"),

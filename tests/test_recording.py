@@ -1,6 +1,8 @@
 """Recordings: validated on construction, saved and loaded without loss, refused when damaged."""
 
+import copy
 import json
+import os
 import pickle
 import re
 
@@ -130,6 +132,28 @@ def test_recordings_survive_pickling():
     same(pickle.loads(pickle.dumps(recording)), recording)
 
 
+@pytest.mark.parametrize("again", [copy.deepcopy, lambda r: pickle.loads(pickle.dumps(r))])
+def test_copies_and_pickles_stay_read_only(again):
+    recording = again(navgym.simulate("auv/switch-D", 0, steps=9))
+    for field in FIELDS:
+        assert not getattr(recording, field).flags.writeable, field
+    assert not recording.model.R.flags.writeable
+
+
+def test_files_have_the_mode_that_the_umask_asks_for(tmp_path):
+    before = os.umask(0o027)
+    try:
+        path = Recording(T, Y).save(tmp_path / "a.npz")
+    finally:
+        os.umask(before)
+    assert path.stat().st_mode & 0o777 == 0o640
+
+
+def test_a_missing_folder_is_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"absent does not exist: create it first"):
+        Recording(T, Y).save(tmp_path / "absent" / "a.npz")
+
+
 def test_a_failing_write_leaves_the_old_file_and_no_other(tmp_path, monkeypatch):
     path = Recording(T, Y).save(tmp_path / "a.npz")
     before = path.read_bytes()
@@ -234,6 +258,7 @@ BAD = [
     ({"time": [0, 1, np.nan, 2, 3]}, "time", "nan at index (2,)"),
     ({"time": [0, 1, 2, 3, np.inf]}, "time", "inf at index (4,)"),
     ({"time": list("abcde")}, "time", "'a'"),
+    ({"time": T.astype("M8[s]")}, "time", "np.timedelta64(1, 's')"),
     ({"measurements": Y[:, 0]}, "measurements", "(5,)"),
     ({"measurements": Y[:4]}, "measurements", "(4, 4)"),
     ({"measurements": Y[:, :3]}, "measurements", "3 columns"),

@@ -189,7 +189,9 @@ def _row(
     mean, low, high = _mean(each)
     gain = paired_difference(each, reference, CONFIDENCE, RESAMPLES)
     scheduled = isinstance(entry.parameters, list)
-    values = parameter_space(entry.filter).defaults | dict({} if scheduled else entry.parameters or {})
+    values = parameter_space(entry.filter).defaults | dict(
+        {} if scheduled else entry.parameters or {}
+    )
     known = all(map(math.isfinite, (*ends, mean)))
     return Row(
         entry.label, entry.filter, "schedule" if scheduled else values, entry.bound,

@@ -60,6 +60,7 @@ def best_fixed(
     journal: Path | None = None,
     free: Sequence[str] = STEERED,
     first: Sequence[Mapping[str, Any]] = (),
+    fixed: Mapping[str, Any] | None = None,
     steps: int | None = None,
     progress: bool = True,
 ) -> tuple[Objective, Outcome, Trial]:
@@ -71,13 +72,14 @@ def best_fixed(
         seed: of the sampler.
         runs: recordings per trial, and again on the validation seeds.
         journal: keeps the study; see `tuning.study.search`.
-        free: parameters to vary; the others stay at their defaults.
+        free: parameters to vary.
         first: parameter sets to try early.
+        fixed: values of the others; their defaults where it says nothing.
         steps: samples per recording; the scenario's own by default.
         progress: whether to show a bar.
     """
     goals = [
-        Objective("qivbf", free, Cases.simulated(scenario, split, runs, steps=steps))
+        Objective("qivbf", free, Cases.simulated(scenario, split, runs, steps=steps), fixed=fixed)
         for split in ("train", "validation")
     ]
     outcome = search(
@@ -93,6 +95,7 @@ def regime_table(
     seed: int = 0,
     runs: int = 40,
     journal: Path | None = None,
+    steps: int | None = None,
     progress: bool = True,
 ) -> tuple[RegimeTable, Trial]:
     """Tune forgetting and process noise by true regime, from `start` in all of them.
@@ -102,7 +105,7 @@ def regime_table(
     scheduled = ("forgetting", "process_noise_scale")
     fixed = {k: v for k, v in start.items() if k not in scheduled}
     goals = [
-        RegimeTable("qivbf", scheduled, Cases.simulated(scenario, split, runs), fixed)
+        RegimeTable("qivbf", scheduled, Cases.simulated(scenario, split, runs, steps=steps), fixed)
         for split in ("train", "validation")
     ]
     first = [goals[0].same_everywhere(start), _by_noise(goals[0], start)]

@@ -7,6 +7,7 @@ text colour; data have colours of middle lightness, which read on both backgroun
 from __future__ import annotations
 
 import io
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -27,13 +28,14 @@ from tuning.report import Figure
 from tuning.study import Outcome
 
 INK = "#010203"  # stands for the page's text colour
+PAPER = "#fdfcfa"  # for its background
 FAINT = "#8b93a0"
 BEST, OWN, PLAIN, BAD = "#2a9268", "#d9822b", "#4a83c4", "#c9483c"
 MORE = ("#8d6bb8", "#2f9aa8", "#b0892e", "#c05f93")
 TINTS = ("#8b93a0", "#d9822b", "#4a83c4", "#8d6bb8", "#2a9268")  # of regimes
 WIDTH = 10.0  # inches; the page scales it
 
-STYLE = {
+STYLE: dict[Any, Any] = {
     "svg.fonttype": "path",
     "svg.hashsalt": "navgym",
     "font.size": 10.0,
@@ -69,7 +71,7 @@ def drawing(caption: str, height: float, **grid: Any) -> Iterator[tuple[Any, lis
         buffer = io.StringIO()
         canvas.savefig(buffer, format="svg", metadata={"Date": None})
     svg = buffer.getvalue()
-    svg = svg[svg.index("<svg") :].replace(INK, "currentColor")
+    svg = svg[svg.index("<svg") :].replace(INK, "currentColor").replace(PAPER, "var(--paper)")
     made.append(Figure(svg, caption))
 
 
@@ -126,10 +128,9 @@ def _reach(rows: Sequence[Row]) -> float:
 def _bar(axes: Axes, i: int, row: Row, reach: float, color: str) -> None:
     cut = not row.mean <= reach
     length = reach if cut else row.mean
-    axes.barh(
-        i, length, 0.66, color="none" if row.bound else color, edgecolor=color,
-        alpha=0.55 if cut else 0.9, hatch="////" if row.diverges else None, lw=1.0,
-    )  # fmt: skip
+    face = (color, 0.0 if row.bound else 0.25 if row.diverges else 0.9)
+    hatch = "////" if row.diverges else None
+    axes.barh(i, length, 0.66, facecolor=face, edgecolor=color, hatch=hatch, lw=1.0)
     if not cut and np.isfinite(row.high):
         axes.plot([row.low, row.high], [i, i], color=INK, lw=1.4, solid_capstyle="butt")
     text = f"{row.mean:.3f}" if not cut else f"{row.mean:,.0f} m →"
@@ -139,13 +140,16 @@ def _bar(axes: Axes, i: int, row: Row, reach: float, color: str) -> None:
         text += f"  {100 * row.divergence_rate:.0f} % of runs diverge"
     inside = cut and row.diverges
     x, side = (reach * 0.985, "right") if inside else (length + 0.012 * reach, "left")
-    axes.text(max(x, row.high + 0.012 * reach) if not cut else x, i, text, va="center", ha=side)
+    x = x if cut else max(x, row.high + 0.012 * reach)
+    label = axes.text(x, i, text, va="center", ha=side)
+    if inside:  # keep the hatching off the words
+        label.set_bbox({"facecolor": PAPER, "edgecolor": "none", "pad": 1.5})
 
 
 def _log(axes: Axes) -> None:
-    """Logarithmic y axis with plain numbers at 1, 2 and 5 times powers of ten."""
+    """Logarithmic y axis with plain numbers at a few steps per decade."""
     axes.set_yscale("log")
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0), numticks=12))
     axes.yaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_major_formatter("{x:g}")
 
@@ -158,7 +162,8 @@ def moving_rms(squared: Array, window: int = 20) -> Array:
     total = np.cumsum(np.concatenate([[0.0], squared]))
     first = np.maximum(np.arange(len(squared)) - window + 1, 0)
     last = np.arange(1, len(squared) + 1)
-    return np.sqrt((total[last] - total[first]) / (last - first))
+    mean: Array = (total[last] - total[first]) / (last - first)
+    return np.sqrt(mean)
 
 
 def example(
@@ -215,7 +220,7 @@ def _shade(axes: Axes, recording: Recording, tints: Sequence[str]) -> None:
 def _spans(labels: NDArray[np.int64]) -> Iterator[tuple[int, int, int]]:
     """(first, one past the last, label) of each run of equal labels."""
     edges = [0, *(np.flatnonzero(np.diff(labels)) + 1).tolist(), len(labels)]
-    for start, stop in zip(edges, edges[1:], strict=False):
+    for start, stop in itertools.pairwise(edges):
         yield start, stop, int(labels[start])
 
 
@@ -273,7 +278,7 @@ def history(outcome: Outcome, default: float, caption: str) -> Figure:
     """Every trial, the best so far, and where the defaults stand; what is far off is cut."""
     results = np.array([t.result for t in outcome.trials])
     count, low = np.arange(1, len(results) + 1), results.min()
-    top = max(3.0 * low, 1.2 * default)
+    top = max(1.8 * low, 1.2 * default)
     with drawing(caption, 2.9) as (axes, made):
         near = results <= top
         axes.scatter(count[near], results[near], s=16, color=FAINT, alpha=0.8, lw=0, label="trial")
@@ -282,7 +287,14 @@ def history(outcome: Outcome, default: float, caption: str) -> Figure:
             marker="^", label="beyond the axis",
         )  # fmt: skip
         axes.axhline(default, color=PLAIN, lw=1.2, ls=(0, (4, 3)), label="default parameters")
-        axes.step(count, np.minimum.accumulate(results), where="post", color=OWN, lw=1.8, label="best so far")
+        axes.step(
+            count,
+            np.minimum.accumulate(results),
+            where="post",
+            color=OWN,
+            lw=1.8,
+            label="best so far",
+        )
         axes.set_ylim(low - 0.06 * (top - low), top * 1.04)
         axes.set_xlabel("trial")
         axes.set_ylabel("objective, m")

@@ -55,7 +55,7 @@ class Table:
 
     def as_text(self) -> str:
         """The table for a terminal, aligned."""
-        lines = [list(self.head), *map(list, self.rows)]
+        lines = [[cell.replace("**", "") for cell in row] for row in (self.head, *self.rows)]
         widths = [max(len(line[i]) for line in lines) for i in range(len(self.head))]
         text = [
             "  ".join(

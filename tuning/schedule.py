@@ -66,8 +66,15 @@ class RegimeTable:
         """`values` of the scheduled parameters as a table that is alike in every regime."""
         return {f"{p.name} [{g}]": values[p.name] for p in self.scheduled for g in self.regimes}
 
-    def schedules(self, values: Mapping[str, Any]) -> list[dict[str, Any]]:
-        """One dict of parameters per recording; the scheduled ones with a number per sample."""
+    def schedules(
+        self, values: Mapping[str, Any], cases: Cases | None = None
+    ) -> list[dict[str, Any]]:
+        """One dict of parameters per recording; the scheduled ones with a number per sample.
+
+        Args:
+            values: of the free parameters.
+            cases: other recordings of the same scenario; the table's own by default.
+        """
         checked = dict(zip(self.space.names, self.space.array(values)[0], strict=True))
         tables = {
             p.name: np.array([checked[f"{p.name} [{g}]"] for g in self.regimes])
@@ -75,7 +82,7 @@ class RegimeTable:
         }
         return [
             self.fixed | {name: table[r.regime] for name, table in tables.items()}
-            for r in self.cases.recordings
+            for r in (cases or self.cases).recordings
         ]
 
     def errors(self, values: Mapping[str, Any]) -> Array:

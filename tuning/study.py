@@ -248,7 +248,7 @@ def _check(journal: Path) -> None:
         if not isinstance(entry, dict) or "op_code" not in entry:
             raise ValueError(
                 f"{journal} is damaged at line {number}: {line[:60]!r} is no journal entry. "
-                "Move the file away to start anew, or delete from that line on to keep the rest."
+                "Move the file away to start anew, or cut it off before that line to keep the rest."
             )
     if whole < len(content):
         with journal.open("rb+") as file:

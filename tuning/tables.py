@@ -24,7 +24,7 @@ def ladder(found: Comparison, own: Sequence[str] = (), caption: str = "") -> Tab
     for row in rows:
         line = [_label(row), error(row), metres(row.median), percent(row.divergence_rate)]
         line += [NOTHING, NOTHING] if row.label == found.reference else [gain(row), p_value(row)]
-        line += [number(row.score)] if scored else []
+        line += [NOTHING if row.diverges else number(row.score)] if scored else []
         cells.append([*line, f"{found.microseconds[row.label]:.1f}"])
     return Table(head, cells, caption, kinds(rows, own))
 
@@ -35,7 +35,7 @@ def _label(row: Row) -> str:
 
 def kinds(rows: Sequence[Row], own: Sequence[str] = ()) -> list[str]:
     """Which rows to set off: bounds, what diverged, the best that can be had, what was tuned."""
-    best = min((r for r in rows if not r.bound), key=lambda r: r.mean).label
+    best = _best(rows).label
     return [
         "bound" if r.bound
         else "diverged" if r.diverges
@@ -47,13 +47,33 @@ def kinds(rows: Sequence[Row], own: Sequence[str] = ()) -> list[str]:
 
 
 def by_condition(
-    found: Mapping[str, Comparison], own: Sequence[str] = (), caption: str = ""
+    found: Mapping[str, Comparison],
+    own: Sequence[str] = (),
+    caption: str = "",
+    order: str | None = None,
 ) -> Table:
-    """One column of errors per comparison, rows in the order of the last one."""
-    last = list(found.values())[-1]
-    rows = sorted(last.rows, key=lambda r: r.mean)
-    cells = [[_label(r), *(error(c[r.label]) for c in found.values())] for r in rows]
-    return Table(["filter", *found], cells, caption, kinds(rows, own))
+    """One column of errors per comparison, the best of each in bold; sorted by column `order`."""
+    key = found[order or next(iter(found))]
+    rows = sorted(key.rows, key=lambda r: r.mean)
+    best = {name: _best(c.rows).label for name, c in found.items()}
+    cells = [
+        [_label(r), *(_bold(error(c[r.label]), best[name] == r.label) for name, c in found.items())]
+        for r in rows
+    ]
+    marks = []
+    for row in rows:
+        lost = all(c[row.label].diverges for c in found.values())
+        kind = "bound" if row.bound else "diverged" if lost else ""
+        marks.append("own" if row.label in own and not kind else kind)
+    return Table(["filter", *found], cells, caption, marks)
+
+
+def _best(rows: Sequence[Row]) -> Row:
+    return min((r for r in rows if not r.bound), key=lambda r: r.mean)
+
+
+def _bold(text: str, really: bool) -> str:
+    return f"**{text}**" if really else text
 
 
 def parameters(space: ParameterSpace, sets: Mapping[str, Mapping[str, Any]], caption: str) -> Table:
@@ -82,7 +102,7 @@ def metres(value: float) -> str:
     """A length, short."""
     if not math.isfinite(value):
         return NOTHING
-    return f"{value:.3f}" if value < 100 else f"{value:.3g}"
+    return f"{value:.3f}" if value < 10 else f"{value:,.0f}"
 
 
 def percent(value: float) -> str:
@@ -99,11 +119,11 @@ def gain(row: Row) -> str:
 
 def p_value(row: Row) -> str:
     """A p-value, no more exact than its permutations allow."""
-    if not math.isfinite(row.p_value):
+    if row.diverges or not math.isfinite(row.p_value):
         return NOTHING
     return "≤ .001" if row.p_value <= 0.001 else f"{row.p_value:.3f}".lstrip("0")
 
 
 def number(value: float) -> str:
     """A score."""
-    return f"{value:.2f}" if math.isfinite(value) and abs(value) < 100 else NOTHING
+    return f"{value:.2f}" if math.isfinite(value) else NOTHING

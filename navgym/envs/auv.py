@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,6 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from navgym._checks import one_of
 from navgym.envs.engine import INFO_NAMES, Engine, Settings
 from navgym.envs.kernels import INFO, LIMIT, REWARD, RMSE, TERMINATED, TRUNCATED
 from navgym.filters import spaces
@@ -75,7 +77,8 @@ class AUVDropoutEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     ## Starting State
     The filter holds x0, P0 one sample before the first measurement; the observation is zero but
-    for the parameters in force, which are the reference's.
+    for the parameters in force, which are the reference's. `reset(options={{"start": k}})` filters
+    k samples with them beforehand, and `options={{"recording": i}}` chooses a recording of the pool.
 
     ## Episode End
     `terminated` if the filter diverges (a covariance loses definiteness, or innovations run away a
@@ -94,10 +97,13 @@ class AUVDropoutEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         pool: simulate this many recordings once and draw from them; None makes a new one at each
             reset. About 0.3 MB per 800 samples.
         recordings: replay these instead of simulating.
+        recording: the same for a single one.
         decision_interval: samples per step.
         action_parameters: what the agent sets; the rest stays at the reference's.
         action: "absolute" or "residual".
-        reference: parameters of the reference filter; the scenario's best fixed ones by default.
+        reference: parameters of the reference filter; by default the scenario's best fixed ones,
+            or the filter's defaults for recordings of your own. With several scenarios each has
+            its own; residual actions start from the first one's.
         reward: "difference", "over-oracle", "absolute" or "likelihood".
         reward_clip: bound on the reward.
         render_mode: "rgb_array", "human" or None.
@@ -125,6 +131,7 @@ class AUVDropoutEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         split: str = "train",
         pool: int | None = None,
         recordings: Sequence[Any] | None = None,
+        recording: Any = None,
         decision_interval: int = 5,
         action_parameters: Sequence[str] = Settings.action_parameters,
         action: str = "absolute",
@@ -138,7 +145,7 @@ class AUVDropoutEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
                 f"render_mode must be 'human', 'rgb_array' or None, got {render_mode!r}."
             )
         settings = Settings(
-            scenario, overrides, split, pool, recordings, decision_interval,
+            scenario, overrides, split, pool, recording if recordings is None else recordings, decision_interval,
             tuple(action_parameters), action, reference, reward, reward_clip,
         )  # fmt: skip
         self.render_mode = render_mode
@@ -153,15 +160,21 @@ class AUVDropoutEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self,
         *,
         seed: int | None = None,
-        options: dict[str, Any] | None = None,  # noqa: ARG002 - part of Gymnasium's contract
+        options: dict[str, Any] | None = None,
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start a new recording; the same seed gives the same one. `options` are not used."""
+        """Start a new recording; the same seed gives the same one.
+
+        Args:
+            seed: of the recordings drawn from now on.
+            options: `recording`, the number of a recording in `recordings` or the pool; `start`,
+                how many samples to filter beforehand with the reference parameters.
+        """
         super().reset(seed=seed)
         self.engine.seed(0, self.np_random)
-        self.engine.restart(0)
+        observation = self.engine.restart(0, **checked_options(options))
         self._over = False
         self._history = []
-        return self.engine.look(0), self.engine.label(0)
+        return observation, self.engine.label(0)
 
     def step(
         self, action: NDArray[np.float32]
@@ -170,7 +183,7 @@ class AUVDropoutEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if self._over:
             raise RuntimeError("no episode is running: call reset() before step().")
         obs = np.empty(self._obs_shape, dtype=np.float32)
-        row = self.engine.step(np.asarray(action, dtype=np.float32)[None], obs)[0].tolist()
+        row = self.engine.step(np.asarray(action)[None], obs)[0].tolist()
         self._over = row[TERMINATED] > 0.0 or row[TRUNCATED] > 0.0
         if self.render_mode is not None:
             self._history.append(row[INFO:])
@@ -220,8 +233,8 @@ class AUVDropoutVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[An
     ) -> None:
         if arguments.pop("render_mode", None) is not None:
             raise ValueError("the vector environment does not render: use gym.make for one lane.")
-        if "action_parameters" in arguments:
-            arguments["action_parameters"] = tuple(arguments["action_parameters"])
+        if "recording" in arguments:
+            arguments.setdefault("recordings", arguments.pop("recording"))
         self.engine = Engine(Settings(**arguments), num_envs)
         self.num_envs = num_envs
         self.render_mode = None
@@ -240,23 +253,28 @@ class AUVDropoutVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[An
         self,
         *,
         seed: int | Sequence[int | None] | None = None,
-        options: dict[str, Any] | None = None,  # noqa: ARG002 - part of Gymnasium's contract
+        options: dict[str, Any] | None = None,
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start a new recording in every lane; returns observations (N, ·) and their infos."""
+        """Start a new recording in every lane; returns observations (N, ·) and their infos.
+
+        `options` are those of `AUVDropoutEnv.reset`, each a number for all lanes or a list.
+        """
         self._seed_lanes(seed)
+        chosen = checked_options(options)
+        each = {name: np.broadcast_to(value, self.num_envs) for name, value in chosen.items()}
         for i in range(self.num_envs):
-            self._restart(i)
+            self._restart(i, **{name: int(values[i]) for name, values in each.items()})
         return self._observations.copy(), self._labels(np.ones(self.num_envs, dtype=np.bool_))
 
     def _seed_lanes(self, seed: int | Sequence[int | None] | None) -> None:
         if seed is None and self._generators:
             return
-        if seed is None or isinstance(seed, (int, np.integer)):
-            each: list[int | None] = [
-                None if seed is None else int(seed) + i for i in range(self.num_envs)
-            ]
+        if seed is None:
+            each: list[int | None] = [None] * self.num_envs
+        elif np.ndim(seed) == 0:
+            each = [operator.index(seed) + i for i in range(self.num_envs)]  # type: ignore[arg-type]
         else:
-            each = list(seed)
+            each = [None if s is None else operator.index(s) for s in seed]  # type: ignore[union-attr]
         if len(each) != self.num_envs:
             raise ValueError(
                 f"seed must be one number or {self.num_envs} of them, got {len(each)}."
@@ -269,9 +287,8 @@ class AUVDropoutVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[An
         for i, generator in enumerate(self._generators):
             self.engine.seed(i, generator)
 
-    def _restart(self, i: int) -> None:
-        self.engine.restart(i)
-        self._observations[i] = self.engine.look(i)
+    def _restart(self, i: int, **options: int) -> None:
+        self._observations[i] = self.engine.restart(i, **options)
         self._steps[i], self._done[i] = 0, False
 
     def step(
@@ -285,7 +302,7 @@ class AUVDropoutVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[An
         fresh = self._done.copy()
         engine = self.engine
         engine.stations["active"] = ~fresh
-        out = engine.step(np.asarray(actions, dtype=np.float32), self._observations)
+        out = engine.step(np.asarray(actions), self._observations)
         for i in np.flatnonzero(fresh):
             self._restart(int(i))
         self._steps[~fresh] += 1
@@ -317,6 +334,13 @@ class AUVDropoutVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[An
 
 INFO_FIELDS = (*INFO_NAMES, *spaces.QIVBF.names)
 assert len(INFO_NAMES) == INFO - RMSE
+
+
+def checked_options(options: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Options of `reset`; ValueError for an unknown one."""
+    for name in options or {}:
+        one_of("option of reset:", name, ("recording", "start"))
+    return dict(options or {})
 
 
 def spaces_of(engine: Engine) -> tuple[gymnasium.Space[Any], gymnasium.Space[Any]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -21,7 +22,6 @@ from navgym.scenarios.seeds import SIZE, seeds
 from navgym.simulation import find_scenario, simulate_many
 
 REWARDS = ("difference", "over-oracle", "absolute", "likelihood")
-AT_START_ONLY = ("initial_count", "initial_scale")
 COMMON_NAMES = (
     "curvature", "lost", "since_received", "noise_position", "noise_velocity", "widening", "change",
 )  # fmt: skip
@@ -54,23 +54,33 @@ class Settings:
             raise ValueError(f"reward_clip must be positive, got {self.reward_clip}.")
         if self.pool is not None:
             positive_int("pool", self.pool)
-        names = tuple(self.action_parameters)
+        given = self.action_parameters
+        names = (given,) if isinstance(given, str) else tuple(given)
         space = spaces.QIVBF.subset(names)
         if not names or len(set(names)) != len(names):
             raise ValueError(f"action_parameters must be one or more distinct names, got {names}.")
-        for name in space.names:
-            if name in AT_START_ONLY:
-                raise ValueError(f"{name} acts at the start only: set it through `reference=`.")
+        if isinstance(self.recordings, Recording):
+            object.__setattr__(self, "recordings", (self.recordings,))
+        for p in space:
+            if p.at_start:
+                raise ValueError(f"{p.name} acts at the start only: set it through `reference=`.")
         object.__setattr__(self, "action_parameters", names)
 
 
 @dataclass(eq=False)
 class Shelf:
-    """Recordings made ready for agents: their tapes (R, T), models (R, K) and lengths (R,)."""
+    """Recordings made ready for agents.
+
+    Args:
+        tapes: (R, T) records, see `kernels.tape_type`.
+        models: (R, K) packed models.
+        stations: (R,) records: how a lane begins each recording.
+        labels: what each recording is.
+    """
 
     tapes: NDArray[Any]
     models: NDArray[Any]
-    lengths: NDArray[np.int64]
+    stations: NDArray[Any]
     labels: list[dict[str, Any]]
 
 
@@ -87,22 +97,19 @@ class Engine:
         self.settings = settings
         self.count = positive_int("num_envs", lanes)
         self._scenarios = self._find_scenarios()
-        self.reference = self._find_reference()
-        self._row = spaces.QIVBF.array(self.reference)[0]
+        self.reference = self._reference_of(self._scenarios[0])
         self._generators: list[np.random.Generator] = [
             np.random.default_rng() for _ in range(lanes)
         ]
-        self._shared = self._build_pool()
         self.model = self._any_model()
+        self._shared = self._build_pool()
         self.shelf = self._shared or self._empty_shelf(lanes)
         self.table = self._action_table()
         self.lanes = np.zeros(lanes, qivbf.lane_type(self.model.n, self.model.m))
-        self._first = self._station(self.model)
-        self.stations = np.repeat(self._first, lanes)
+        self.stations = np.repeat(self._station(self.model, self._row(self.reference)), lanes)
         reward = REWARDS.index(settings.reward)
         self._rule = np.array([(settings.decision_interval, reward, settings.reward_clip)], K.RULE)
-        self._action_shape = (lanes, len(self.table))
-        self._outcome_shape = (lanes, K.INFO + len(self._row))
+        self._actions = np.zeros((lanes, len(self.table)), dtype=np.float32)
         self._decide: Callable[..., Any] | None = None
         self._world = self._gather()
         longest = self.shelf.tapes.shape[1] if trail else 0
@@ -131,7 +138,8 @@ class Engine:
         for p, (low, high, code, integer) in zip(space, space.table(), strict=True):
             residual = self.settings.action == "residual"
             column = spaces.QIVBF.index(p.name)
-            centre = p.warp(self._row[column]) if residual else (low + high) / 2
+            own = p.warp(spaces.QIVBF.array(self.reference)[0, column])
+            centre = own if residual else (low + high) / 2
             rows.append((column, centre, (high - low) / 2, low, high, code, integer, p.low, p.high))
         return np.array(rows, dtype=np.float64)
 
@@ -144,23 +152,36 @@ class Engine:
             raise ValueError("scenario must name at least one scenario, got none.")
         return tuple(find_scenario(name, **dict(self.settings.overrides or {})) for name in names)
 
-    def _find_reference(self) -> dict[str, Any]:
-        """Parameters of the reference filter: given, else the scenario's, over the defaults."""
-        given = self.settings.reference
-        chosen = self._scenarios[0].reference if given is None else given
-        spaces.QIVBF.array(chosen)
+    def _reference_of(self, scenario: AUVScenario) -> dict[str, Any]:
+        """Parameters of the reference filter: those given, else the scenario's best fixed ones.
+
+        Recordings of one's own have no scenario: the filter's defaults are their reference.
+        """
+        chosen = self.settings.reference
+        if chosen is None:
+            chosen = {} if self.settings.recordings is not None else scenario.reference
+        if len(spaces.QIVBF.array(chosen)) > 1:
+            raise ValueError(f"reference must hold one number per parameter, got {chosen!r}.")
         return spaces.QIVBF.defaults | dict(chosen)
 
+    @staticmethod
+    def _row(reference: Mapping[str, Any]) -> Array:
+        row: Array = spaces.QIVBF.array(reference)[0]
+        return row
+
     def _build_pool(self) -> Shelf | None:
-        if self.settings.recordings is not None:
-            return self.prepare(list(self.settings.recordings))
+        given = self.settings.recordings
+        if given is not None:
+            return self.prepare(list(given), [self._row(self.reference)] * len(given))
         if self.settings.pool is None:
             return None
         each = -(-self.settings.pool // len(self._scenarios))
-        made = [
-            r for s in self._scenarios for r in simulate_many(s, seeds(self.settings.split, each))
-        ]
-        return self.prepare(made[: self.settings.pool])
+        drawn = [
+            (r, self._row(self._reference_of(s)))
+            for s in self._scenarios
+            for r in simulate_many(s, seeds(self.settings.split, each))
+        ][: self.settings.pool]
+        return self.prepare([r for r, _ in drawn], [row for _, row in drawn])
 
     def _empty_shelf(self, lanes: int) -> Shelf:
         """A place per lane, for recordings that are simulated when the lane restarts."""
@@ -172,23 +193,32 @@ class Engine:
         return Shelf(
             tapes=np.zeros((lanes, longest), K.tape_type(*sizes.pop())),
             models=np.stack([models[0].pack()] * lanes),
-            lengths=np.zeros(lanes, dtype=np.int64),
+            stations=np.repeat(self._station(self.model, self._row(self.reference)), lanes),
             labels=[{} for _ in range(lanes)],
         )
 
-    def _draw(self, rng: np.random.Generator) -> Recording:
-        """Simulate a new recording with numbers from `rng`."""
+    def _draw(self, rng: np.random.Generator) -> tuple[Recording, Array]:
+        """A new recording made with numbers from `rng`, and its reference parameters."""
         first = seeds(self.settings.split, 1)[0]
         scenario = self._scenarios[int(rng.integers(len(self._scenarios)))]
-        return simulate_many(scenario, [first + int(rng.integers(SIZE))])[0]
+        recording = simulate_many(scenario, [first + int(rng.integers(SIZE))])[0]
+        return recording, self._row(self._reference_of(scenario))
 
     def prepare(
-        self, recordings: Sequence[Recording], place: NDArray[Any] | None = None
+        self,
+        recordings: Sequence[Recording],
+        rows: Sequence[Array],
+        place: NDArray[Any] | None = None,
     ) -> Shelf:
         """Make recordings ready: run the reference filter, the frozen filter and the oracle.
 
-        The tapes (R, T) are written to `place`, if there is one of the right size.
+        Args:
+            recordings: what to prepare.
+            rows: the reference filter's parameters for each.
+            place: tapes (R, T) to write to, used if they have the right size.
         """
+        for r in recordings:
+            _linear(r.model)
         batch = Batch.of(recordings)
         self._check_usable(batch)
         n, m = batch.models.dtype["x0"].shape[0], batch.y.shape[2]
@@ -199,31 +229,36 @@ class Engine:
         tapes["truth"] = np.nan if batch.truth is None else batch.truth
         for i, r in enumerate(recordings):
             tapes["regime"][i, : len(r)] = np.nan if r.regime is None else r.regime
-        self._fill(tapes, batch, recordings[0].model)
+        pairs = zip(recordings, rows, strict=True)
+        stations = np.concatenate([self._station(r.model, row) for r, row in pairs])
+        stations["which"], stations["length"] = np.arange(len(recordings)), batch.lengths
+        self._fill(tapes, batch, stations)
         labels = [{"recording": i, **dict(r.meta)} for i, r in enumerate(recordings)]
-        return Shelf(tapes, batch.models, batch.lengths, labels)
+        return Shelf(tapes, batch.models, stations, labels)
 
-    def _fill(self, tapes: NDArray[Any], batch: Batch, model: LinearModel) -> None:
+    def _fill(self, tapes: NDArray[Any], batch: Batch, stations: NDArray[Any]) -> None:
         """Run the reference, the frozen and (if the reward asks for it) the oracle filter."""
-        n, m, count = model.n, model.m, len(batch)
+        n, m, count = batch.models.dtype["x0"].shape[0], batch.y.shape[2], len(batch)
         frozen, oracles = (np.zeros(count, kalman.lane_type(n, m)) for _ in range(2))
         references = np.zeros(count, qivbf.lane_type(n, m))
-        kalman.begin(frozen, batch.models, self._row)
-        kalman.begin(oracles, batch.models, self._row)
-        qivbf.begin(references, batch.models, self._row[None, None])
-        stations = np.repeat(self._station(model), count)
+        kalman.begin(frozen, batch.models, stations["row"])
+        kalman.begin(oracles, batch.models, stations["row"])
+        qivbf.begin(references, batch.models, stations["row"][:, None])
         scales = batch.scales if self.settings.reward == "over-oracle" else None
         scales = np.zeros((count, 0, 2)) if scales is None else scales
-        K.prepare(tapes, batch.models, batch.lengths, frozen, references, oracles, stations, scales)
+        K.prepare(
+            tapes, batch.models, batch.lengths, frozen, references, oracles, stations.copy(), scales
+        )
 
-    def _station(self, model: LinearModel) -> NDArray[Any]:
-        """A station (1,) at the start, with the reference parameters in force."""
-        station = np.zeros(1, K.station_type(model.n, model.m, len(self._row)))
+    @staticmethod
+    def _station(model: LinearModel, row: Array) -> NDArray[Any]:
+        """A station (1,) at the start of a recording, with parameters `row` in force."""
+        station = np.zeros(1, K.station_type(model.n, model.m, len(row)))
         station["active"] = 1
-        station["row"] = self._row
+        station["row"] = row
         station["position"][:, list(model.position)] = 1
         H = model.H.reshape(-1, model.m, model.n)[0]
-        station["kind"] = [int(np.argmax(np.abs(row)) not in model.position) for row in H]
+        station["kind"] = [int(np.argmax(np.abs(each)) not in model.position) for each in H]
         return station
 
     def _check_usable(self, batch: Batch) -> None:
@@ -241,10 +276,9 @@ class Engine:
 
     def _any_model(self) -> LinearModel:
         given = self.settings.recordings
-        model = self._scenarios[0].model if given is None else given[0].model
-        if not isinstance(model, LinearModel):
-            raise TypeError(f"the filter needs a LinearModel, got a {type(model).__name__}.")
-        return model
+        if given is not None and not given:
+            raise ValueError("recordings must hold at least one Recording, got none.")
+        return _linear(self._scenarios[0].model if given is None else given[0].model)
 
     # ---- life of a lane -------------------------------------------------------------
 
@@ -252,53 +286,84 @@ class Engine:
         """Give lane i its source of randomness."""
         self._generators[i] = generator
 
-    def restart(self, i: int) -> None:
-        """Put lane i at the start of a new recording."""
+    def restart(self, i: int, recording: int | None = None, start: int = 0) -> NDArray[np.float32]:
+        """Put lane i at the start of a recording; returns its first observation.
+
+        Args:
+            i: the lane.
+            recording: number in the pool or in the given recordings; None draws one.
+            start: samples to filter beforehand with the reference parameters.
+        """
         if self._shared is None:
-            place = self.shelf.tapes[i : i + 1]
-            self._place(i, self.prepare([self._draw(self._generators[i])], place))
+            if recording is not None:
+                raise ValueError("options['recording'] needs recordings= or pool= to choose from.")
             which = i
+            place = self.shelf.tapes[i : i + 1]
+            made, row = self._draw(self._generators[i])
+            self._place(i, self.prepare([made], [row], place))
         else:
-            which = int(self._generators[i].integers(len(self.shelf.lengths)))
+            count = len(self.shelf.stations)
+            which = int(self._generators[i].integers(count)) if recording is None else recording
+            if not 0 <= which < count:
+                raise ValueError(f"options['recording'] must lie in 0..{count - 1}, got {which}.")
         lane, station = self.lanes[i : i + 1], self.stations[i : i + 1]
-        qivbf.begin(lane, self.shelf.models[which : which + 1], self._row[None, None])
-        station[...] = self._first
-        station["which"], station["length"] = which, self.shelf.lengths[which]
+        station[...] = self.shelf.stations[which]
+        station["which"] = which
+        qivbf.begin(lane, self.shelf.models[which : which + 1], station["row"][:, None])
         self.trail[i] = np.nan
+        return self._first_observation(i, start)
+
+    def _first_observation(self, i: int, start: int) -> NDArray[np.float32]:
+        lane, station = self.lanes[i : i + 1], self.stations[i : i + 1]
+        if not 0 <= start < station["length"][0]:
+            raise ValueError(
+                f"options['start'] must lie in 0..{station['length'][0] - 1}, got {start}."
+            )
+        obs = np.zeros((1, len(self.observation_names)), dtype=np.float32)
+        if start:
+            rule = self._rule.copy()
+            rule["interval"] = start
+            K.decide(
+                lane, station, self.shelf.models, self.shelf.tapes, self.table[:0], rule,
+                self._actions[i : i + 1, :0], obs, np.zeros((1, self._outcome_shape[1])),
+                self.trail[i : i + 1],
+            )  # fmt: skip
+        K.first_look(station, self.table, obs)
+        first: NDArray[np.float32] = obs[0]
+        return first
 
     def _place(self, i: int, made: Shelf) -> None:
         """Put a newly made recording on lane i's own place of the shelf."""
-        length = int(made.lengths[0])
+        length = int(made.stations["length"][0])
         if not np.shares_memory(self.shelf.tapes, made.tapes):
             self.shelf.tapes[i, :length] = made.tapes[0]
         self.shelf.models[i] = made.models[0]
-        self.shelf.lengths[i] = length
+        self.shelf.stations[i] = made.stations[0]
         self.shelf.labels[i] = made.labels[0]
 
     def label(self, i: int) -> dict[str, Any]:
         """What lane i's recording is: scenario, seed, number in the pool."""
-        return dict(self.shelf.labels[int(self.stations["which"][i])])
+        return copy.deepcopy(self.shelf.labels[int(self.stations["which"][i])])
 
-    def look(self, i: int) -> NDArray[np.float32]:
-        """Observation of lane i right after `restart`: no sample yet."""
-        obs = np.zeros((1, len(self.observation_names)), dtype=np.float32)
-        K.first_look(self.stations[i : i + 1], self.table, obs)
-        first: NDArray[np.float32] = obs[0]
-        return first
+    @property
+    def _outcome_shape(self) -> tuple[int, int]:
+        return self.count, K.INFO + len(spaces.QIVBF)
 
-    def step(self, actions: NDArray[np.float32], obs: NDArray[np.float32]) -> Array:
+    def step(self, actions: NDArray[Any], obs: NDArray[np.float32]) -> Array:
         """One decision of every active lane: fills `obs` (N, ·) and returns outcomes (N, ·).
 
-        Raises ValueError for an action of another shape or with an element that is no number.
+        Raises ValueError for actions (N, k) of another shape or with an element that is no number.
         """
-        if actions.shape != self._action_shape:
+        if actions.shape != self._actions.shape:
+            single = self.count == 1 and actions.shape[:1] == (1,)
+            wanted, got = (self._actions.shape, actions.shape)
             raise ValueError(
-                f"action must have shape {self._action_shape[1:]}, got {actions.shape[1:]}."
+                f"action must have shape {wanted[1:] if single else wanted}, "
+                f"got {got[1:] if single else got}."
             )
-        if not actions.flags.c_contiguous:
-            actions = np.ascontiguousarray(actions)
+        self._actions[...] = actions  # the kernel is entered without a check of types
         out = np.zeros(self._outcome_shape)
-        arguments = (*self._world, actions, obs, out, self.trail)
+        arguments = (*self._world, obs, out, self.trail)
         if self._decide is None:
             self._decide = entry(K.decide, arguments)
         if not self._decide(*arguments):
@@ -317,7 +382,17 @@ class Engine:
     def _gather(self) -> tuple[Any, ...]:
         return (
             self.lanes, self.stations, self.shelf.models, self.shelf.tapes, self.table, self._rule,
+            self._actions,
         )  # fmt: skip
 
 
 INFO_NAMES = ("rmse", "reference_rmse", "nis", "lost", "regime", "reward_term")
+
+
+def _linear(model: Any) -> LinearModel:
+    if not isinstance(model, LinearModel):
+        raise TypeError(
+            f"the environment's filter needs recordings with a LinearModel, got a "
+            f"{type(model).__name__}."
+        )
+    return model

@@ -323,7 +323,7 @@ def decide(lanes, stations, models, tapes, table, rule, actions, obs, out, trail
     interval, clip = rule[0].interval, rule[0].clip
     for i in range(lanes.shape[0]):
         for a in range(table.shape[0]):
-            if not math.isfinite(actions[i, a]):
+            if stations[i].active and not math.isfinite(actions[i, a]):
                 return False
     for i in range(lanes.shape[0]):
         lane, station = lanes[i], stations[i]

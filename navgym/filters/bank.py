@@ -167,55 +167,83 @@ def estimate(
 ) -> dict[str, Array]:
     """Run the bank `chosen` over a batch; see `navgym.estimation.run`.
 
-    Which path a recording takes depends on that recording alone, so company changes nothing.
+    A recording begins with one covariance for both axes if its model allows it, and goes on with
+    the whole state from the first sample that the axes do not lose alike: an estimate depends
+    neither on later samples nor on other recordings.
     """
     modes = MODE_SETS[chosen.option]
     n, m = batch.models.dtype["x0"].shape[0], batch.y.shape[2]
     found = outputs(batch, n, m, everything)
     count, steps = batch.y.shape[:2]
-    a, b = modes.shape
-    found["weights"] = np.empty((count, steps if everything else 0, a, b))
-    found["diverged"] = np.empty(count, dtype=np.bool_)
+    found["weights"] = np.full((count, steps if everything else 0, *modes.shape), np.nan)
     table = padded(table, (1.0, 1.0, 0.97, 1.0, 0.0))
-    shared = np.array([_shares(batch, i) for i in range(count)])
-    for axes in (1, 2):
-        chosen_lanes = np.flatnonzero(shared == (axes == 2))
-        if len(chosen_lanes):
-            _run_group(batch, table, interval, modes, axes, chosen_lanes, found)
-    return found
+    until = np.array([_alike_until(batch, i) for i in range(count)])
+    whole = np.zeros(count, lane_type(n, m, 1))
+    begin(whole, batch.models, modes, 1)
+    first = np.flatnonzero(until > 0)
+    if len(first):
+        shared = np.zeros(len(first), lane_type(n, m, 2))
+        begin(shared, batch.models[first], modes, 2)
+        shared["length"] = until[first]
+        _run_some(batch, table, interval, modes, shared, first, found)
+        whole[first] = unfolded(shared, whole.dtype)
+    then = np.flatnonzero(until < batch.lengths)
+    if len(then):
+        rest = whole[then]
+        rest["length"] = batch.lengths[then]
+        _run_some(batch, table, interval, modes, rest, then, found)
+        whole[then] = rest
+    return found | {"diverged": whole["diverged"] > 0}
 
 
-def _shares(batch: Batch, i: int) -> bool:
-    """Whether recording i keeps one covariance for both axes."""
+def _alike_until(batch: Batch, i: int) -> int:
+    """Number of samples for which recording i may keep one covariance for both axes."""
+    if not separable(batch.models[i]):
+        return 0
     half_m = batch.y.shape[2] // 2
-    alike = batch.y.shape[2] % 2 == 0
-    alike = alike and np.array_equal(batch.lost[i, :, :half_m], batch.lost[i, :, half_m:])
-    return alike and separable(batch.models[i])
+    apart = (batch.lost[i, :, :half_m] != batch.lost[i, :, half_m:]).any(axis=1)
+    apart = apart[: batch.lengths[i]]
+    return int(np.argmax(apart)) if apart.any() else int(batch.lengths[i])
 
 
-def _run_group(
+def _run_some(
     batch: Batch,
     table: Array,
     interval: int,
     modes: ModeSet,
-    axes: int,
+    lanes: NDArray[Any],
     chosen: NDArray[np.int64],
     found: dict[str, Array],
 ) -> None:
-    n, m = batch.models.dtype["x0"].shape[0], batch.y.shape[2]
-    models = batch.models[chosen]
-    lanes = np.zeros(len(chosen), lane_type(n, m, axes))
-    begin(lanes, models, modes, axes)
-    mine = {name: array[chosen] for name, array in found.items() if name != "diverged"}
-    own_table = table if len(table) == 1 else table[chosen]
+    """Run the lanes of the recordings `chosen`, and put what they say into `found`."""
+    everyone = len(chosen) == len(batch)
+    pick = slice(None) if everyone else chosen  # a slice is a view: nothing is copied
+    models = batch.models[pick]
+    small = half(models) if lanes["mean"].shape[-1] == 2 else models
+    mine = {name: array[pick] for name, array in found.items()}
     run(
-        lanes, models, half(models) if axes == 2 else models, batch.y[chosen], batch.lost[chosen],
-        own_table, interval, modes.table(), np.array(modes.prior) / sum(modes.prior), modes.near,
-        *mine.values(),
+        lanes, models, small, batch.y[pick], batch.lost[pick],
+        table if len(table) == 1 else table[pick], interval, modes.table(),
+        np.array(modes.prior) / sum(modes.prior), modes.near, *mine.values(),
     )  # fmt: skip
-    for name, array in mine.items():
-        found[name][chosen] = array
-    found["diverged"][chosen] = lanes["diverged"] > 0
+    if not everyone:
+        for name, array in mine.items():
+            found[name][pick] = array
+
+
+def unfolded(shared: NDArray[Any], whole: np.dtype[Any]) -> NDArray[Any]:
+    """Lanes that shared a covariance between two axes, as lanes of the record `whole`."""
+    lanes = np.zeros(shared.shape, whole)
+    for name in whole.names or ():
+        if whole[name] == shared.dtype[name]:
+            lanes[name] = shared[name]
+    count, modes, p, axes = shared["mean"].shape
+    stacked = np.swapaxes(shared["mean"], 2, 3).reshape(count, modes, axes * p)
+    lanes["mean"] = stacked[..., None]
+    for g in range(axes):
+        own = slice(g * p, (g + 1) * p)
+        lanes["cov"][:, :, own, own] = shared["cov"]
+    return lanes
 
 
 def begin(lanes: NDArray[Any], models: NDArray[Any], modes: ModeSet, axes: int) -> None:
@@ -570,7 +598,7 @@ def run(
     for i in range(lanes.shape[0]):
         lane = lanes[i]
         p = min(i, parameters.shape[0] - 1)
-        for k in range(y.shape[1]):
+        for k in range(lane.k, min(lane.length, y.shape[1])):
             row = parameters[p, min(k // interval, parameters.shape[1] - 1)]
             now = min(k, models.shape[1] - 1)
             received = receive(lane, y, lost, i, k)

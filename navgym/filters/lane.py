@@ -21,6 +21,8 @@ NUMERICAL = 2  # `diverged`: a covariance lost its definiteness or a value stopp
 RUNAWAY = 1  # `diverged`: innovations far beyond anything that the measurement noise explains
 RUNAWAY_POWER = 1e4  # mean square innovation over nominal R that counts as running away: 100 sigma
 LOG_2PI = math.log(2.0 * math.pi)
+SAMPLE_POWER = 10.0 * RUNAWAY_POWER  # what one sample can at most count: a spike is no runaway
+NO_LIMIT = 2**62
 POWER_MEMORY = 0.95  # of the exponential mean that watches it: about 20 received samples
 
 
@@ -38,6 +40,8 @@ def fields(n: int, m: int) -> list[tuple[str, Any, tuple[int, ...]]]:
         ("power", f8, ()),
         ("grace", f8, ()),  # share of S added to R when judging health: a wide P0 is no divergence
         ("diverged", i8, ()),
+        ("k", i8, ()),  # samples done: `run` goes on from here ...
+        ("length", i8, ()),  # ... to here, or to the end of the data
         # the last three received values of each component, oldest first
         ("past", f8, (m, 3)),
         ("past_time", f8, (m, 3)),
@@ -60,6 +64,7 @@ def start(lanes: NDArray[Any], models: NDArray[Any]) -> None:
     lanes["x"] = models["x0"][:, 0]
     lanes["P"] = models["P0"][:, 0]
     lanes["grace"] = 1.0
+    lanes["length"] = NO_LIMIT
 
 
 def estimate_lanes(
@@ -70,6 +75,7 @@ def estimate_lanes(
     lanes = np.zeros(len(batch), family.lane_type(n, m))
     family.begin(lanes, batch.models, table)
     scales = np.ones((len(batch), 1, 2)) if batch.scales is None else batch.scales
+    lanes["length"] = batch.lengths
     found: dict[str, Any] = outputs(batch, n, m, everything)
     family.run(
         lanes, batch.models, batch.y, batch.lost, batch.time, scales, table, interval, option,
@@ -133,7 +139,7 @@ def expect(lane, model, received):
 
     Leaves S, W and z of `innovate` in the lane.
     """
-    expect_nothing(lane)
+    expect_nothing(lane, received)
     if received > 0:
         for j in range(lane.y.shape[0]):
             if lane.use[j]:
@@ -142,8 +148,13 @@ def expect(lane, model, received):
 
 
 @part
-def expect_nothing(lane):
-    """No innovation, NIS or log-likelihood yet: what a lost sample reports."""
+def expect_nothing(lane, received):
+    """No innovation, NIS or log-likelihood yet: what a lost sample reports.
+
+    Through an outage the health check learns again to expect large innovations.
+    """
+    if received == 0:
+        lane.grace = 1.0 - POWER_MEMORY * (1.0 - lane.grace)
     for j in range(lane.y.shape[0]):
         lane.innovation[j] = math.nan
     lane.nis = math.nan
@@ -164,10 +175,11 @@ def judge(lane, model, received, whitened):
     lane.grace *= POWER_MEMORY
     lane.nis = nis
     lane.log_likelihood = -0.5 * (nis + log_det + received * LOG_2PI)
-    lane.power = POWER_MEMORY * lane.power + (1.0 - POWER_MEMORY) * power / received
-    if not (ok and math.isfinite(lane.power)):
+    if not (ok and math.isfinite(power)):
         lane.diverged = NUMERICAL
-    elif lane.power >= RUNAWAY_POWER and lane.diverged == 0:
+    power = min(power / received, SAMPLE_POWER)
+    lane.power = POWER_MEMORY * lane.power + (1.0 - POWER_MEMORY) * power
+    if lane.power >= RUNAWAY_POWER and lane.diverged == 0:
         lane.diverged = RUNAWAY
 
 
@@ -245,6 +257,7 @@ def keep_prediction(lane):
 @part
 def report(lane, i, k, states, covariances, innovations, nis, log_likelihoods):
     """Write the lane's answer for sample k of series i; outputs of length 0 are not wanted."""
+    lane.k = k + 1
     for a in range(lane.x.shape[0]):
         states[i, k, a] = lane.x[a]
     if covariances.shape[1] > 0:

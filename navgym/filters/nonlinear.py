@@ -375,7 +375,7 @@ def sigma_step(lane, model, received, q, r, a):
     for i in range(2 * n + 1):
         move(lane, model, i)
     gather_states(lane, model, 0.5 / (n * a * a), q)
-    expect_nothing(lane)
+    expect_nothing(lane, received)
     if received > 0:
         scale_noise(lane, model, r)
         # QIVBF eq. 10, corrected: h takes new points of (x⁻, P⁻), as in eq. 22. Those of eq. 8
@@ -405,7 +405,7 @@ def run(
     for i in range(lanes.shape[0]):
         lane = lanes[i]
         p = min(i, parameters.shape[0] - 1)
-        for k in range(y.shape[1]):
+        for k in range(lane.k, min(lane.length, y.shape[1])):
             model = models[i, min(k, models.shape[1] - 1)]
             j = min(k // interval, parameters.shape[1] - 1)
             received = receive(lane, y, lost, i, k)

@@ -153,7 +153,7 @@ def run(
     for i in range(lanes.shape[0]):
         lane = lanes[i]
         p = min(i, parameters.shape[0] - 1)
-        for k in range(y.shape[1]):
+        for k in range(lane.k, min(lane.length, y.shape[1])):
             model = models[i, min(k, models.shape[1] - 1)]
             row = parameters[p, min(k // interval, parameters.shape[1] - 1)]
             received = receive(lane, y, lost, i, k)

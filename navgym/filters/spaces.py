@@ -52,11 +52,11 @@ _VB = (
     ),
     Parameter(
         "initial_count", "ν0", "1", 1.0, 100.0, "log", 12.0,
-        equation="first count of R̂ (QIVBF table 1, init, corrected)",
+        equation="first count of R̂ (QIVBF table 1, init, corrected)", at_start=True,
     ),
     Parameter(
         "initial_scale", "r0", "1", 0.01, 100.0, "log", 8.7,
-        equation="first R̂ over R (QIVBF table 1, init, corrected)",
+        equation="first R̂ over R (QIVBF table 1, init, corrected)", at_start=True,
     ),
     replace(PROCESS, default=33.0),
 )  # fmt: skip

@@ -227,3 +227,98 @@ def test_the_batch_refuses_what_it_cannot_do():
         AUVDropoutVectorEnv(0)
     with pytest.raises(ValueError, match="seed must be one number or 2"):
         AUVDropoutVectorEnv(2).reset(seed=[1, 2, 3])
+
+
+def test_a_recording_can_be_chosen_and_begun_in_the_middle():
+    pool = [recording_of(s, loss=0.2) for s in range(3)]
+    env = AUVDropoutEnv(recordings=pool, action="residual")
+    nothing = np.zeros(4, dtype=np.float32)
+    _, info = env.reset(options={"recording": 2})
+    assert info["recording"] == 2
+    for _ in range(8):
+        later = env.step(nothing)[0]
+    begun, _ = env.reset(options={"recording": 2, "start": 40})
+    np.testing.assert_allclose(begun, later, rtol=1e-6, atol=1e-6)
+    ahead = [env.step(nothing) for _ in range(32)]
+    assert ahead[-1][3]
+    assert not ahead[-2][3]
+
+
+def test_a_batch_takes_an_option_for_each_lane():
+    pool = [recording_of(s) for s in range(3)]
+    batch = AUVDropoutVectorEnv(3, recordings=pool)
+    _, infos = batch.reset(options={"recording": [2, 0, 1], "start": 5})
+    assert list(infos["recording"]) == [2, 0, 1]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"recordin": 1}, "Did you mean 'recording'"),
+        ({"recording": 7}, "must lie in 0..1"),
+        ({"start": 200}, "must lie in 0..199"),
+    ],
+)
+def test_bad_options_of_reset_are_named(options, message):
+    env = AUVDropoutEnv(recordings=[recording_of(0), recording_of(1)])
+    with pytest.raises(ValueError, match=message):
+        env.reset(seed=0, options=options)
+
+
+def test_each_scenario_of_a_mixture_has_its_own_reference():
+    names = ["auv/tvr", "auv/switch-D"]
+    env = AUVDropoutEnv(scenario=names, pool=2, overrides={"steps": 50})
+    for i, name in enumerate(names):
+        env.reset(options={"recording": i})
+        expected = navgym.simulation.find_scenario(name).reference
+        row = dict(zip(spaces.QIVBF.names, env.engine.stations[0]["row"], strict=True))
+        assert row["process_noise_scale"] == expected["process_noise_scale"]
+
+
+def test_what_a_measurement_observes_is_told_for_each_recording():
+    from navgym.models import LinearModel
+
+    parts = []
+    for rows in ([0, 2], [1, 3]):
+        model = LinearModel(H=np.eye(4)[rows])
+        whole = recording_of(0)
+        parts.append(
+            navgym.Recording(
+                whole.time, whole.measurements[:, rows], truth=whole.truth, model=model
+            )
+        )
+    env = AUVDropoutEnv(recordings=parts)
+    seen = []
+    for i in range(2):
+        env.reset(options={"recording": i})
+        seen.append(env.engine.stations[0]["kind"].tolist())
+    assert seen == [[0, 0], [1, 1]]
+
+
+def test_whole_number_and_double_actions_mean_what_they_say():
+    for kind in (np.int32, np.float64):
+        env = AUVDropoutEnv()
+        env.reset(seed=0)
+        info = env.step(np.ones(4, dtype=kind))[4]
+        assert info["vb_iterations"] == 20
+        assert info["process_noise_scale"] == pytest.approx(1000.0)
+
+
+def test_a_finished_lane_ignores_even_an_action_that_is_no_number():
+    batch = AUVDropoutVectorEnv(2, recordings=[recording_of(0, steps=5)])
+    batch.reset(seed=0)
+    assert batch.step(np.zeros((2, 4)))[3].all()
+    batch.step(np.full((2, 4), np.nan))
+
+
+def test_infos_are_copies():
+    recording = recording_of(0)
+    env = AUVDropoutEnv(recording=recording)
+    env.reset(seed=0)[1]["regimes"].append("changed")
+    assert "changed" not in env.reset(seed=0)[1]["regimes"]
+    assert "changed" not in recording.meta["regimes"]
+
+
+def test_a_model_that_turns_is_refused_by_name():
+    with pytest.raises(TypeError, match="CoordinatedTurnModel"):
+        AUVDropoutEnv(scenario="auv/coordinated-turn")

@@ -209,3 +209,14 @@ def test_only_two_equal_uncoupled_axes_share_a_covariance():
     ):
         assert not separable(navgym.LinearModel(**axes_model(**change)).pack()), change
     assert not separable(navgym.LinearModel(F=np.eye(3)).pack())
+
+
+def test_an_estimate_does_not_depend_on_what_is_lost_later():
+    whole = navgym.simulate("auv/switch-D", seed=3, steps=120)
+    lost = whole.lost.copy()
+    lost[80, 0] = True  # from here on the axes differ
+    other = navgym.Recording(whole.time, whole.measurements, lost, model=whole.model)
+    for name in ("bank", "imm", "imm_wide"):
+        states = [navgym.estimate(name, r).states for r in (whole, other)]
+        np.testing.assert_array_equal(states[0][:80], states[1][:80])
+        assert not np.array_equal(states[0][80:], states[1][80:])

@@ -126,7 +126,7 @@ def test_company_and_padding_change_nothing(name, size):
 
 
 def poisoned(recording, k, value=1e300):
-    """The recording with one absurd measurement."""
+    """The recording with an absurd measurement, or a row of them where `k` is a slice."""
     y = recording.measurements.copy()
     y[k] = value
     return navgym.Recording(
@@ -154,7 +154,8 @@ def test_a_broken_lane_disturbs_no_other_and_shows_no_number(name):
 def test_a_runaway_lane_is_flagged(name):
     recording = navgym.simulate("auv/nominal", 0, steps=60, loss=0.0)
     assert name == "qivbf_printed" or not navgym.estimate(name, recording).diverged
-    assert navgym.estimate(name, poisoned(recording, 30, 1e5)).diverged
+    swings = 1e5 * np.resize([[1.0], [-1.0]], (30, 1))
+    assert navgym.estimate(name, poisoned(recording, slice(30, 60), swings)).diverged
 
 
 @pytest.mark.parametrize("name", [name for name in SOUND if name not in ("kf_zero", "kf_hold")])
@@ -226,3 +227,33 @@ def test_a_coarse_and_a_fine_model_meet(name):
     np.testing.assert_allclose(found[:, :2], found[:, 2:], rtol=1e-9, atol=1e-12)
     if name.startswith("kf"):
         np.testing.assert_allclose(found[:, :2], estimate(name, half).states, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["kf", "qivbf", "bank"])
+def test_one_spike_is_no_divergence(name):
+    recording = navgym.simulate("auv/nominal", seed=1, steps=120, loss=0.0)
+    spiked = recording.measurements.copy()
+    spiked[60, 0] += 1e3
+    same = {f: getattr(recording, f) for f in ("time", "lost", "model")}
+    assert not navgym.estimate(name, navgym.Recording(measurements=spiked, **same)).diverged
+
+
+@pytest.mark.parametrize("name", ["kf", "kf_extrapolate", "qivbf", "bank"])
+def test_a_long_outage_is_no_divergence(name):
+    recording = navgym.simulate("auv/nominal", seed=1, steps=900, loss=0.0)
+    lost = recording.lost.copy()
+    lost[200:800] = True
+    gap = navgym.Recording(recording.time, recording.measurements, lost, model=recording.model)
+    assert not navgym.estimate(name, gap).diverged
+
+
+@pytest.mark.parametrize("name", ["kf", "qivbf", "bank"])
+def test_padding_says_nothing(name):
+    from navgym.batch import Batch
+    from navgym.estimation import run
+
+    long = navgym.simulate("auv/nominal", seed=1, steps=90)
+    short = navgym.simulate("auv/nominal", seed=2, steps=30)
+    found = run(name, Batch.of([long, short]))
+    np.testing.assert_array_equal(found["states"][1, :30], navgym.estimate(name, short).states)
+    assert np.isnan(found["states"][1, 30:]).all()
