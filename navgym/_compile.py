@@ -12,6 +12,7 @@ name under which a kernel is cached carries a hash of every kernel file that it 
 
 from __future__ import annotations
 
+import ast
 import functools
 import hashlib
 import inspect
@@ -25,34 +26,57 @@ import numba
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _PACKAGE = Path(__file__).parent
+_MARK = b"from navgym._compile import"  # what every kernel file holds
 
 
 @functools.lru_cache
-def _fingerprint(file: str) -> str:
-    """Hash of the texts of `file` and of all kernel files that it imports, directly or not."""
+def _fingerprint(file: str, package: Path = _PACKAGE) -> str:
+    """Hash of the texts of `file` and of all kernel files that it imports, directly or not.
+
+    This file is one of them: its decorators shape the code.
+    """
     found: dict[Path, bytes] = {}
     open_ends = [Path(file)]
     while open_ends:
         path = open_ends.pop()
-        if path in found or not path.is_file():
-            continue
-        found[path] = path.read_bytes()
-        for module in re.findall(r"^from (navgym[\w.]*) import", found[path].decode(), re.M):
-            stem = _PACKAGE.parent / module.replace(".", "/")
-            candidates = (stem.with_suffix(".py"), *_named(found[path].decode(), module, stem))
-            open_ends += [c for c in candidates if c.is_file() and _holds_kernels(c)]
+        if path not in found and path.is_file():
+            found[path] = _content(path)
+            open_ends += _kernel_files(path, package)
     texts = b"".join(text for _, text in sorted(found.items()))
     return hashlib.sha256(texts).hexdigest()[:12]
 
 
-def _named(text: str, module: str, folder: Path) -> list[Path]:
-    """Modules that `from module import a, b` names, where module is a package."""
-    names = re.findall(rf"^from {re.escape(module)} import ([\w, ]+)$", text, re.M)
-    return [folder / f"{name.strip()}.py" for line in names for name in line.split(",")]
+@functools.lru_cache
+def _kernel_files(path: Path, package: Path) -> tuple[Path, ...]:
+    """The kernel files of `package` that `path` imports."""
+    modules = (m.split(".") for m in _imported(_content(path).decode()))
+    files = [
+        package.joinpath(*names[1:-1], f"{names[-1]}.py")
+        for names in modules
+        if names[0] == package.name and len(names) > 1
+    ]
+    return tuple(f for f in files if f.is_file() and _MARK in _content(f))
 
 
-def _holds_kernels(path: Path) -> bool:
-    return b"from navgym._compile import" in path.read_bytes()
+@functools.lru_cache
+def _content(path: Path) -> bytes:
+    return path.read_bytes()
+
+
+def _imported(text: str) -> set[str]:
+    """Names of the modules that a file imports at its top, and names that may be modules in them.
+
+    Only what stands above the first definition is parsed: the rest of a file takes 50 times as
+    long, and holds no imports (ruff E402).
+    """
+    first = re.search(r"^(?:def \w+\(|class \w+[:(]|@\w)", text, re.MULTILINE)
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(text[: first.start()] if first else text)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return found
 
 
 def kernel(function: Function) -> Function:

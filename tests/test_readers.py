@@ -167,10 +167,10 @@ def test_a_spoiled_track_names_file_line_and_column(eastward, kind, old, new, me
     ("options", "message"),
     [
         ({"tracks": 2}, "Did you mean 'track'"),
-        ({"loss": 1.5}, "loss rate must lie in"),
+        ({"loss": 1.5}, "loss rate must be a number in 0..1"),
         ({"position_noise": 0.0}, "position_noise must be a finite number above 0"),
         ({"track": 1.0}, "track must be a whole number"),
-        ({"seed": -1}, "seed must lie in"),
+        ({"seed": -1}, "seed must be a whole number of at least 0"),
         ({"model": navgym.LinearModel(F=np.eye(2))}, "model must be a navgym.LinearModel"),
     ],
 )

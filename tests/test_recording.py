@@ -223,7 +223,7 @@ def test_a_damaged_or_foreign_file_is_refused_by_name(tmp_path, what):
 @given(place=st.floats(0.0, 1.0, exclude_max=True), bit=st.integers(0, 7))
 def test_a_flipped_bit_is_refused_or_harmless(tmp_path_factory, place, bit):
     path = tmp_path_factory.getbasetemp() / "flipped.npz"
-    recording = Recording(T, Y + T[:, None])
+    recording = Recording(T, Y + T[:, None], truth=Y, regime=np.arange(5), meta={"where": "sea"})
     recording.save(path)
     content = bytearray(path.read_bytes())
     content[int(place * len(content))] ^= 1 << bit

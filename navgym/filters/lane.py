@@ -38,7 +38,7 @@ def fields(n: int, m: int) -> list[tuple[str, Any, tuple[int, ...]]]:
         ("nis", f8, ()),
         ("log_likelihood", f8, ()),
         ("power", f8, ()),
-        ("grace", f8, ()),  # share of S added to R when judging health: a wide P0 is no divergence
+        ("grace", f8, ()),  # share of H P⁻ Hᵀ added to R when judging health: a wide P0 is sound
         ("diverged", i8, ()),
         ("k", i8, ()),  # samples done: `run` goes on from here ...
         ("length", i8, ()),  # ... to here, or to the end of the data
@@ -168,7 +168,7 @@ def judge(lane, model, received, whitened):
     power = 0.0
     for j in range(lane.y.shape[0]):
         if lane.use[j]:
-            variance = 0.0
+            variance = -lane.R_used[j, j]  # of the prediction alone: (H P⁻ Hᵀ)_jj
             for k in range(j + 1):
                 variance += lane.S[j, k] * lane.S[j, k]
             power += lane.innovation[j] ** 2 / (model.R[j, j] + lane.grace * variance)
