@@ -1,0 +1,1 @@
+"""Agents that tune filters while they run: the next room to be built."""

@@ -146,7 +146,7 @@ class AUVDropoutEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             )
         settings = Settings(
             scenario, overrides, split, pool, recording if recordings is None else recordings, decision_interval,
-            tuple(action_parameters), action, reference, reward, reward_clip,
+            action_parameters, action, reference, reward, reward_clip,
         )  # fmt: skip
         self.render_mode = render_mode
         self.engine = Engine(settings, 1, trail=render_mode is not None)
@@ -271,7 +271,7 @@ class AUVDropoutVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[An
             return
         if seed is None:
             each: list[int | None] = [None] * self.num_envs
-        elif np.ndim(seed) == 0:
+        elif np.ndim(seed) == 0:  # type: ignore[arg-type]
             each = [operator.index(seed) + i for i in range(self.num_envs)]  # type: ignore[arg-type]
         else:
             each = [None if s is None else operator.index(s) for s in seed]  # type: ignore[union-attr]

@@ -35,9 +35,9 @@ class Settings:
     overrides: Mapping[str, Any] | None = None
     split: str = "train"
     pool: int | None = None
-    recordings: Sequence[Recording] | None = None
+    recordings: Any = None  # a Recording or several
     decision_interval: int = 5
-    action_parameters: tuple[str, ...] = (
+    action_parameters: str | Sequence[str] = (
         "vb_iterations", "prior_count", "forgetting", "process_noise_scale",
     )  # fmt: skip
     action: str = "absolute"

@@ -173,7 +173,7 @@ def estimate(
     """
     modes = MODE_SETS[chosen.option]
     n, m = batch.models.dtype["x0"].shape[0], batch.y.shape[2]
-    found = outputs(batch, n, m, everything)
+    found: dict[str, Any] = outputs(batch, n, m, everything)
     count, steps = batch.y.shape[:2]
     found["weights"] = np.full((count, steps if everything else 0, *modes.shape), np.nan)
     table = padded(table, (1.0, 1.0, 0.97, 1.0, 0.0))

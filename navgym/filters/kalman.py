@@ -52,9 +52,7 @@ def estimate(
     if not chosen.needs_scales:
         batch = batch.without_scales()
     table = padded(table, (1.0, 1.0, 1.0))
-    return estimate_lanes(
-        sys.modules[__name__], batch, table, interval, chosen.option, everything
-    )
+    return estimate_lanes(sys.modules[__name__], batch, table, interval, chosen.option, everything)
 
 
 def begin(lanes: NDArray[Any], models: NDArray[Any], parameters: NDArray[Any]) -> None:
