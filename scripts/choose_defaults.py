@@ -81,7 +81,7 @@ def choose_defaults(options: argparse.Namespace) -> dict[str, Any]:
     """The default parameters and what they do in each scenario on test seeds."""
     goal = overall("train", options)
     journal = options.out / "defaults.log"
-    found = search(goal, options.trials, options.seed, journal, FIRST, label="defaults")
+    found = search(goal, options.trials, options.seed, journal, FIRST, label="defaults").complete()
     best = confirm(found, overall("validation", options))
     values = SWEEPS | rounded(goal.space, best.values)
     print(f"\ndefaults {values}: {best.result:.3f} of kf on validation seeds, geometric mean")
@@ -119,6 +119,7 @@ def choose_references(options: argparse.Namespace) -> dict[str, Any]:
         goals = [objective(name, split, options.runs) for split in ("train", "validation")]
         journal = options.out / f"reference-{name.removeprefix('auv/')}.log"
         outcome = search(goals[0], options.trials, options.seed, journal, FIRST, label=name)
+        outcome.complete()
         values = SWEEPS | rounded(goals[0].space, confirm(outcome, goals[1]).values)
         report = Cases.simulated(name, "test", options.report_runs)
         error, plain = mean_error(FILTER, values, report), mean_error("kf", None, report)

@@ -49,7 +49,8 @@ def main() -> int:
 
     began = time.perf_counter()
     size = demo.QUICK if options.quick else demo.FULL
-    size = replace(size, trials=options.trials or size.trials, test=options.runs or size.test)
+    given = {"trials": options.trials, "test": options.runs}
+    size = replace(size, **{name: n for name, n in given.items() if n is not None})
     try:
         return show(options, size, began)
     except demo.Interrupted as stop:

@@ -49,7 +49,8 @@ def auv(options: argparse.Namespace) -> int:
 
     began = time.perf_counter()
     size = reproduction.QUICK if options.quick else reproduction.FULL
-    size = replace(size, runs=options.runs or size.runs, trials=options.trials or size.trials)
+    given = {"trials": options.trials, "runs": options.runs}
+    size = replace(size, **{name: n for name, n in given.items() if n is not None})
     folder = options.data or (BESIDE if BESIDE.is_dir() else None)
     if folder is None:
         print("no A-KIT data: the real tracks are left out (name their folder with --data)")

@@ -302,7 +302,7 @@ def _ladder(found: Findings) -> Section:
     main = found.main
     caption = (
         f"Mean over {len(found.cases)} fresh recordings of each run's position RMSE, with its 95 % "
-        "interval. Dashed: the bound. Cut and hatched: diverges."
+        "interval. Dashed: the bound. Pale and cut: diverges."
     )
     note = (
         "Gains are paired (same recordings), intervals from BCa bootstrap, p from sign flips. "

@@ -111,7 +111,7 @@ def regime_table(
     first = [goals[0].same_everywhere(start), _by_noise(goals[0], start)]
     label = f"table by regime of {scenario}"
     outcome = search(goals[0], trials, seed, journal, first, label, progress=progress)
-    return goals[0], confirm(outcome, goals[1])
+    return goals[0], confirm(outcome.complete(), goals[1])
 
 
 def _by_noise(table: RegimeTable, start: Mapping[str, Any]) -> dict[str, Any]:
@@ -196,7 +196,7 @@ def cross_tuned(
         ]
         about = {"tracks": list(tune_on), "loss": list(RATES), "seeds": "training"}
         goal = Objective(entry.filter, free, Cases.of(recordings, about))
-        outcome = search(goal, trials, seed, progress=False)
+        outcome = search(goal, trials, seed, progress=False).complete()
         yield report_on, dict(outcome.best.values)
 
 

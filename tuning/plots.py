@@ -28,7 +28,6 @@ from tuning.report import Figure
 from tuning.study import Outcome
 
 INK = "#010203"  # stands for the page's text colour
-PAPER = "#fdfcfa"  # for its background
 FAINT = "#8b93a0"
 BEST, OWN, PLAIN, BAD = "#2a9268", "#d9822b", "#4a83c4", "#c9483c"
 MORE = ("#8d6bb8", "#2f9aa8", "#b0892e", "#c05f93")
@@ -71,7 +70,7 @@ def drawing(caption: str, height: float, **grid: Any) -> Iterator[tuple[Any, lis
         buffer = io.StringIO()
         canvas.savefig(buffer, format="svg", metadata={"Date": None})
     svg = buffer.getvalue()
-    svg = svg[svg.index("<svg") :].replace(INK, "currentColor").replace(PAPER, "var(--paper)")
+    svg = svg[svg.index("<svg") :].replace(INK, "currentColor")
     made.append(Figure(svg, caption))
 
 
@@ -129,8 +128,7 @@ def _bar(axes: Axes, i: int, row: Row, reach: float, color: str) -> None:
     cut = not row.mean <= reach
     length = reach if cut else row.mean
     face = (color, 0.0 if row.bound else 0.25 if row.diverges else 0.9)
-    hatch = "////" if row.diverges else None
-    axes.barh(i, length, 0.66, facecolor=face, edgecolor=color, hatch=hatch, lw=1.0)
+    axes.barh(i, length, 0.66, facecolor=face, edgecolor=color, lw=1.0)
     if not cut and np.isfinite(row.high):
         axes.plot([row.low, row.high], [i, i], color=INK, lw=1.4, solid_capstyle="butt")
     text = f"{row.mean:.3f}" if not cut else f"{row.mean:,.0f} m →"
@@ -141,9 +139,7 @@ def _bar(axes: Axes, i: int, row: Row, reach: float, color: str) -> None:
     inside = cut and row.diverges
     x, side = (reach * 0.985, "right") if inside else (length + 0.012 * reach, "left")
     x = x if cut else max(x, row.high + 0.012 * reach)
-    label = axes.text(x, i, text, va="center", ha=side)
-    if inside:  # keep the hatching off the words
-        label.set_bbox({"facecolor": PAPER, "edgecolor": "none", "pad": 1.5})
+    axes.text(x, i, text, va="center", ha=side)
 
 
 def _log(axes: Axes) -> None:

@@ -27,10 +27,10 @@ from tuning.report import Figure, Page, Section, Table, Tile
 
 CONDITIONS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     "nominal": ("auv/nominal", {}),
-    "true R = 9x": ("auv/nominal", {"measurement_scale": 9.0}),
+    "true R = 9×": ("auv/nominal", {"measurement_scale": 9.0}),
     "R switches .25/25": ("auv/tvr", {}),
-    "10 % outliers x100": ("auv/heavy", {}),
-    "true Q = 100x": ("auv/mismatch", {}),
+    "10 % outliers ×100": ("auv/heavy", {}),
+    "true Q = 100×": ("auv/mismatch", {}),
 }
 CLAIM = (
     "The paper's claim: QIVBF stays closer to the reference than the Kalman filter, whose error "
@@ -110,25 +110,38 @@ def losses(size: Size) -> Part:
 def _loss_checks(name: str, found: Comparison) -> Iterator[Check]:
     for label, value in zip(expected.COLUMNS, expected.LOSSES[name], strict=True):
         row = found[label]
-        about = label == "kf_zero"
         diverges = row.diverges and value > 10 * found["oracle"].mean
-        slack = value * (expected.LOOSE if about else expected.RELATIVE)
-        yield Check(f"{name}, {label}", value, row.mean, _half(row), slack, both_diverge=diverges)
+        relative = expected.LOOSE if label == "kf_zero" else expected.RELATIVE
+        yield Check(
+            f"{name}, {label}", value, row.mean, _half(row), _slack(row, value, relative),
+            smaller_is_fine="untuned" in label, both_diverge=diverges,
+        )  # fmt: skip
+
+
+def _slack(row: Row, value: float, relative: float = expected.RELATIVE) -> float:
+    """Half-width of an expected figure's interval.
+
+    It came from about as many runs as ours: where a few runs lock out and our interval is wide,
+    its own was too.
+    """
+    return max(relative * value, _half(row))
 
 
 def _no_loss(size: Size) -> Check:
     cases = Cases.simulated("auv/nominal", "test", size.runs, steps=size.steps, loss=0.0)
     row = compare([Entry("kf", "kf")], cases, "kf").rows[0]
-    slack = expected.NO_LOSS * expected.RELATIVE
-    return Check("nominal without loss, kf", expected.NO_LOSS, row.mean, _half(row), slack)
+    value = expected.NO_LOSS
+    return Check("nominal without loss, kf", value, row.mean, _half(row), _slack(row, value))
 
 
 def _losses_section(found: Mapping[str, Comparison], checks: list[Check]) -> Section:
     by_name = {c.what: c for c in checks}
-    rows = []
-    for name, comparison in found.items():
-        cells = [_checked(comparison[x], by_name[f"{name}, {x}"]) for x in expected.COLUMNS]
-        rows.append([name, *cells, tables.percent(comparison["qivbf_printed"].divergence_rate)])
+    rows = [
+        [label, *(_checked(found[name][label], by_name[f"{name}, {label}"]) for name in found)]
+        for label in expected.COLUMNS
+    ]
+    rates = [c["qivbf_printed"].divergence_rate for c in found.values()]
+    rows.append(["qivbf_printed diverges in", *map(tables.percent, rates)])
     limit = rms(steady_state(LinearModel()).filtered, (0, 2))
     ours = by_name["nominal without loss, kf"]
     text = [
@@ -136,11 +149,13 @@ def _losses_section(found: Mapping[str, Comparison], checks: list[Check]) -> Sec
         "Untuned: N_VB 10, τ 5, ρ .97, ν0 5, r0 1, q 1; `vbakf` predicts only, `qivbf` "
         "extrapolates with Σl² R. `kf` predicts only. The prototype's column “fill as data” is "
         "left out: it gives a filled value the weight of a measurement, and no parameter does "
-        "that (fill_inflation starts at Σl² R). `qivbf_printed` still fills that way.",
+        "that (fill_inflation starts at Σl² R). `qivbf_printed` still fills that way. A lower error "
+        "of an untuned filter counts as better: since the prototype, R̂ keeps more of its weight "
+        "through losses.",
         f"Without loss `kf` has {ours.found:.3f} ± {ours.half:.3f} m (expected {ours.expected}; "
         f"{ours.verdict}); the Riccati limit is {limit:.4f} m, the rest is the start.",
     ]
-    head = ["30 % lost", *expected.COLUMNS, "printed: diverges"]
+    head = ["30 % lost", *found]
     caption = (
         "Position RMSE in m with its 95 % interval; in brackets the figure to reproduce. " + KEY
     )
@@ -148,6 +163,10 @@ def _losses_section(found: Mapping[str, Comparison], checks: list[Check]) -> Sec
 
 
 KEY = "✓ within the two intervals, ↓ better than expected, ≈ both diverge, ✗ outside."
+BANK_CAPTION = (
+    "Position RMSE in m with its 95 % interval, and the bank's paired gain over the wide IMM with, in "
+    "brackets, the figure to reproduce. " + KEY
+)
 MARKS = {"within": "✓", "better": "↓", "both diverge": "≈", "outside": "✗"}
 
 
@@ -175,12 +194,12 @@ def _claims(found: Mapping[str, Comparison]) -> str:
         else:
             behind.append(name)
     printed = min(c["qivbf_printed"].divergence_rate for c in found.values())
+    share = "every run" if printed == 1.0 else f"at least {100 * printed:.0f} % of the runs"
     parts = [f"the corrected QIVBF beats a Kalman filter that predicts only under {_list(ahead)}"]
     parts.append(f"it does not under {_list(behind)}")
     parts.append(f"and it diverges under {_list(lost)}")
     return (
-        "; ".join(parts)
-        + f". As printed it diverges in at least {100 * printed:.0f} % of the runs everywhere. "
+        "; ".join(parts) + f". As printed it diverges in {share} under each. "
         "The Kalman filter's error grows without bound only if lost samples are fed to it as zeros "
         "(`kf_zero`), which is what the paper's figures show; predicting through losses keeps it bounded."
     )
@@ -233,10 +252,11 @@ def _one_headroom(
     scenario: str, size: Size, seed: int, out: Path
 ) -> tuple[Comparison, dict[str, Any]]:
     stem = f"{scenario.removeprefix('auv/')}-{size.train}-seed{seed}"
-    _, _, best = best_fixed(
+    _, outcome, best = best_fixed(
         scenario, size.trials, seed, size.train, out / f"fixed-{stem}.log", first=FIRST,
         fixed=PRIORS, steps=size.steps,
     )  # fmt: skip
+    outcome.complete()
     fixed = PRIORS | dict(best.values)
     goal, table = regime_table(
         scenario, fixed, size.trials, seed, size.train, out / f"table-{stem}.log", size.steps
@@ -260,7 +280,7 @@ def _headroom_checks(name: str, found: Comparison) -> Iterator[Check]:
     for label, value in zip(labels, expected.HEADROOM[name], strict=True):
         row = found[label]
         searched = label in labels[:2]
-        slack = value * expected.RELATIVE
+        slack = _slack(row, value)
         yield Check(f"{name}, {label}", value, row.mean, _half(row), slack, searched)
 
 
@@ -269,36 +289,29 @@ def _headroom_checks(name: str, found: Comparison) -> Iterator[Check]:
 
 def bank(size: Size) -> Part:
     """The bank and the wide IMM, as designed for and off their design."""
-    rows, checks, found = [], [], {}
-    for shift, overrides in {
-        "as designed": {},
-        **{k: SHIFTS[k] for k in expected.SHIFT_GAINS},
-    }.items():
-        cells = []
-        for place, name in enumerate(expected.BANK):
-            scenario = f"auv/{name}"
-            cases = Cases.simulated(scenario, "test", size.runs, steps=size.steps, **overrides)
-            entries = [Entry(n, n) for n in ("bank", "imm_wide")] + [
-                Entry("oracle", "oracle", bound=True)
-            ]
-            one = found[f"{name}, {shift}"] = compare(
-                entries, cases, "imm_wide", plain="imm_wide", progress=f"{name}, {shift}"
-            )
-            new = list(_bank_checks(name, shift, place, one))
-            checks += new
-            cells += [_shown(one[x]) for x in ("oracle", "bank", "imm_wide")]
-            cells.append(_gain_cell(one, new[-1]))
-        rows.append([shift, *cells])
-    part = ("oracle", "bank", "imm_wide", "bank's gain")
-    head = ["conditions", *(f"{n[-1]}: {x}" for n in expected.BANK for x in part)]
-    caption = (
-        "Position RMSE in m on `switch-D` (D) and `switch-B` (B), and the bank's paired gain over "
-        "the wide IMM with, in brackets, the figure to reproduce. " + KEY
-    )
-    section = Section(
-        "A6. The bank against the wide IMM", _bank_text(found), [Table(head, rows, caption)]
-    )
+    found: dict[str, Comparison] = {}
+    checks: list[Check] = []
+    items = []
+    for place, name in enumerate(expected.BANK):
+        rows = []
+        for shift in ("as designed", *expected.SHIFT_GAINS):
+            one = found[f"{name}, {shift}"] = _bank_comparison(name, shift, size)
+            checks += _bank_checks(name, shift, place, one)
+            shown = [_shown(one[x]) for x in ("oracle", "bank", "imm_wide")]
+            rows.append([shift, *shown, _gain_cell(one, checks[-1])])
+        head = [name, "oracle (bound)", "bank", "imm_wide", "the bank's gain"]
+        items.append(Table(head, rows, "" if place == 0 else BANK_CAPTION))
+    section = Section("A6. The bank against the wide IMM", _bank_text(found), items)
     return Part(section, tuple(checks), _as_dict(found))
+
+
+def _bank_comparison(name: str, shift: str, size: Size) -> Comparison:
+    overrides = SHIFTS.get(shift, {})  # none as designed
+    cases = Cases.simulated(f"auv/{name}", "test", size.runs, steps=size.steps, **overrides)
+    entries = [
+        Entry("oracle", "oracle", bound=True), Entry("bank", "bank"), Entry("imm_wide", "imm_wide"),
+    ]  # fmt: skip
+    return compare(entries, cases, "imm_wide", plain="imm_wide", progress=f"{name}, {shift}")
 
 
 def _gain_cell(found: Comparison, check: Check) -> str:

@@ -10,7 +10,10 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+import signal
+import sys
+import threading
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -58,6 +61,12 @@ class Outcome:
     trials: tuple[Trial, ...]
     interrupted: bool = False
 
+    def complete(self) -> Outcome:
+        """The outcome itself; KeyboardInterrupt if Ctrl-C ended the study."""
+        if self.interrupted:
+            raise KeyboardInterrupt
+        return self
+
     @property
     def best(self) -> Trial:
         """The trial with the smallest result, the first of equals."""
@@ -86,8 +95,8 @@ def search(
 
     Raises:
         ValueError: fewer than one trial, a journal of another goal, or a damaged one.
-        KeyboardInterrupt: Ctrl-C before the first trial finished; later it ends the search with
-            what was found.
+        KeyboardInterrupt: Ctrl-C before the first trial finished, or a second Ctrl-C; the first
+            one ends the search after the trial at hand, with what was found.
     """
     positive_int("trials", trials)
     space = goal.space
@@ -96,11 +105,13 @@ def search(
         study.tell(trial.number, state=TrialState.FAIL)  # left by a run that was killed
     for values in ({}, *first):
         _enqueue(study, space, space.defaults | dict(values))
-    interrupted = False
     count = _finished(study)
-    with tqdm(total=trials, initial=min(count, trials), desc=label, disable=not progress) as bar:
-        while count < trials and not interrupted:
-            interrupted = not _evaluate(study, goal, seed, count)
+    with (
+        _deferred_interrupt() as stop,
+        tqdm(total=trials, initial=min(count, trials), desc=label, disable=not progress) as bar,
+    ):
+        while count < trials and not stop.is_set():
+            _evaluate(study, goal, seed, count, stop)
             count = _finished(study)
             bar.n = count
             if count:
@@ -108,23 +119,44 @@ def search(
             bar.update(0)
     if count == 0:
         raise KeyboardInterrupt
-    return Outcome(tuple(_trials(study, space)), interrupted)
+    return Outcome(tuple(_trials(study, space)), stop.is_set())
 
 
-def _evaluate(study: optuna.Study, goal: Goal, seed: int, count: int) -> bool:
-    """Run one more trial; False if Ctrl-C stopped it."""
+def _evaluate(
+    study: optuna.Study, goal: Goal, seed: int, count: int, stop: threading.Event
+) -> None:
+    """Run one more trial; one that ends in an error or an interrupt is marked as failed."""
     study.sampler = _sampler(seed, count)
     trial = study.ask(distributions(goal.space))
     try:
-        result = goal(from_optuna(goal.space, trial.params))
-        study.tell(trial, result)
+        study.tell(trial, goal(from_optuna(goal.space, trial.params)))
     except BaseException as error:
         with contextlib.suppress(Exception):  # the error that matters is on its way
             study.tell(trial, state=TrialState.FAIL, skip_if_finished=True)
-        if isinstance(error, KeyboardInterrupt):
-            return False
-        raise
-    return True
+        if not isinstance(error, KeyboardInterrupt):
+            raise
+        stop.set()
+
+
+@contextlib.contextmanager
+def _deferred_interrupt() -> Iterator[threading.Event]:
+    """An event that the first Ctrl-C sets, so that no write is torn; the second one interrupts."""
+    stop = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield stop  # signals reach the main thread only
+        return
+
+    def handle(*_: object) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+        tqdm.write("stopping after this trial (Ctrl-C again: at once)", file=sys.stderr)
+
+    before = signal.signal(signal.SIGINT, handle)
+    try:
+        yield stop
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _sampler(seed: int, count: int) -> optuna.samplers.BaseSampler:

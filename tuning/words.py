@@ -52,12 +52,13 @@ def without_learning(found: Comparison, learners: Iterable[str], own: str) -> st
     ahead = [name for name in chosen if found.difference(name, own).gain_low > 0.0]
     if not ahead:
         return f"None of {listed(chosen)} beats `{own}` here."
-    verb = "beats" if len(ahead) == 1 else "beat"
+    verb, they, weigh = ("beats", "it", "weighs") if len(ahead) == 1 else ("beat", "they", "weigh")
+    them = "it" if len(ahead) == 1 else "them"
     return (
-        f"**{listed(ahead)} {verb} `{own}`, though nothing in them was tuned or learnt**: they "
-        "weigh a few fixed hypotheses about the noise by how well each explains the measurements. "
-        "Who just wants the best estimate should take them; tuning and learning matter where one "
-        "adaptive filter must do."
+        f"**{listed(ahead)} {verb} `{own}`, though nothing in {them} was tuned or learnt**: {they} "
+        f"{weigh} fixed hypotheses about the noise by how well each explains the measurements. "
+        f"Who just wants the best estimate here should take {them}; tuning and learning matter "
+        "where one adaptive filter must do, or where no hypothesis fits."
     )
 
 

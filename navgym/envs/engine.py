@@ -110,6 +110,7 @@ class Engine:
         reward = REWARDS.index(settings.reward)
         self._rule = np.array([(settings.decision_interval, reward, settings.reward_clip)], K.RULE)
         self._actions = np.zeros((lanes, len(self.table)), dtype=np.float32)
+        self._outcomes = np.zeros((lanes, K.INFO + len(spaces.QIVBF)))
         self._decide: Callable[..., Any] | None = None
         self._world = self._gather()
         longest = self.shelf.tapes.shape[1] if trail else 0
@@ -325,7 +326,7 @@ class Engine:
             rule["interval"] = start
             K.decide(
                 lane, station, self.shelf.models, self.shelf.tapes, self.table[:0], rule,
-                self._actions[i : i + 1, :0], obs, np.zeros((1, self._outcome_shape[1])),
+                self._actions[i : i + 1, :0], obs, np.zeros((1, self._outcomes.shape[1])),
                 self.trail[i : i + 1],
             )  # fmt: skip
         K.first_look(station, self.table, obs)
@@ -345,12 +346,10 @@ class Engine:
         """What lane i's recording is: scenario, seed, number in the pool."""
         return copy.deepcopy(self.shelf.labels[int(self.stations["which"][i])])
 
-    @property
-    def _outcome_shape(self) -> tuple[int, int]:
-        return self.count, K.INFO + len(spaces.QIVBF)
-
     def step(self, actions: NDArray[Any], obs: NDArray[np.float32]) -> Array:
         """One decision of every active lane: fills `obs` (N, ·) and returns outcomes (N, ·).
+
+        The outcomes are overwritten by the next step.
 
         Raises ValueError for actions (N, k) of another shape or with an element that is no number.
         """
@@ -362,7 +361,8 @@ class Engine:
                 f"got {got[1:] if single else got}."
             )
         self._actions[...] = actions  # the kernel is entered without a check of types
-        out = np.zeros(self._outcome_shape)
+        out = self._outcomes
+        out[...] = 0.0
         arguments = (*self._world, obs, out, self.trail)
         if self._decide is None:
             self._decide = entry(K.decide, arguments)
