@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import os
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,12 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navgym._atomic import replacing
+from navgym import _storage
 from navgym._checks import Array, real_array, shaped
 from navgym._frozen import Frozen
 from navgym.models import LinearModel, Model, model_from_arrays, step_of
-
-FORMAT = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +85,7 @@ class Recording(Frozen):
                         f"{name} must be positive, got {arrays[name].min()}: it multiplies a "
                         "covariance."
                     )
-        self._freeze(arrays | {"model": model, "meta": json.loads(_json(self.meta))})
+        self._freeze(arrays | {"model": model, "meta": _storage.writable(self.meta)})
 
     def __len__(self) -> int:
         return len(self.time)
@@ -107,21 +102,16 @@ class Recording(Frozen):
         """
         arrays = {name: getattr(self, name) for name in _ARRAYS if getattr(self, name) is not None}
         arrays |= {f"model.{name}": value for name, value in self.model.arrays().items()}
-        arrays["header"] = np.array(json.dumps({"navgym": FORMAT, "meta": dict(self.meta)}))
-        target = Path(path)
-        with replacing(target) as file:
-            np.savez_compressed(file, **arrays)
-        return target
+        return _storage.save(path, "Recording", arrays, self.meta)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Recording:
         """Read what `save` wrote. ValueError for a truncated, foreign or newer file."""
-        arrays = _read_npz(path)
-        header = _header(path, arrays)
+        arrays, meta = _storage.load(path, "Recording")
         model = {k.removeprefix("model."): v for k, v in arrays.items() if k.startswith("model.")}
         fields = {name: arrays[name] for name in _ARRAYS if name in arrays}
         try:
-            return cls(**fields, model=model_from_arrays(model), meta=header["meta"])
+            return cls(**fields, model=model_from_arrays(model), meta=meta)
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{path} is damaged: {error}. Save the recording again.") from error
 
@@ -129,56 +119,6 @@ class Recording(Frozen):
 _ARRAYS = (
     "time", "measurements", "lost", "truth", "regime", "process_scale", "measurement_scale",
 )  # fmt: skip
-
-
-# what numpy, zipfile and zlib raise about a file that is no npz, or no longer one
-_UNREADABLE = (
-    ValueError, TypeError, EOFError, OSError, KeyError, zipfile.BadZipFile, zlib.error,
-    NotImplementedError,
-)  # fmt: skip
-
-
-def _read_npz(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except _UNREADABLE as error:
-        if isinstance(error, FileNotFoundError):
-            raise
-        raise ValueError(
-            f"{path} is not a navgym recording or is truncated ({error}). "
-            "Use a file that Recording.save wrote, or navgym.read for other formats."
-        ) from error
-    if "header" not in arrays or "time" not in arrays:
-        raise ValueError(
-            f"{path} is an npz file but not a navgym recording: it holds {sorted(arrays)[:8]}. "
-            "Use a file that Recording.save wrote."
-        )
-    return arrays
-
-
-def _header(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    try:
-        header = json.loads(str(arrays["header"]))
-        found = header["navgym"]
-    except (TypeError, ValueError, KeyError) as error:
-        raise ValueError(
-            f"{path} has a header that is not navgym's ({arrays['header']!s:.40}). "
-            "Use a file that Recording.save wrote."
-        ) from error
-    if found != FORMAT:
-        raise ValueError(
-            f"{path} has format {found}, and this navgym reads {FORMAT}: install the navgym that "
-            "wrote it, or save it again from there."
-        )
-    return dict(header)
-
-
-def _json(meta: Mapping[str, Any]) -> str:
-    try:
-        return json.dumps(dict(meta))
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"meta must hold only what JSON can write: {error}.") from None
 
 
 def _checked_time(value: Any) -> Array:

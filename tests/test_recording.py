@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as hnp
 
 import navgym
 from navgym import LinearModel, Recording
-from navgym.recording import FORMAT
+from navgym._storage import FORMAT
 
 T = np.arange(5.0)
 Y = np.zeros((5, 4))
