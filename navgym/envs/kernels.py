@@ -28,7 +28,7 @@ COMMON = 2 * len(DECAYS) + 5  # observations that belong to neither stream
 LOST_TRACK = 1e12  # squared error, m², of a reference filter that failed numerically
 
 DIFFERENCE, OVER_ORACLE, ABSOLUTE, LIKELIHOOD = range(4)
-# columns of a decision's outcome; the physical parameters follow
+# columns of a decision's outcome, the first three as in `base`; the physical parameters follow
 REWARD, TERMINATED, TRUNCATED, RMSE, REFERENCE_RMSE, NIS, LOST, REGIME, TERM, INFO = range(10)
 RULE = np.dtype([("interval", np.int64), ("kind", np.int64), ("clip", np.float64)])
 

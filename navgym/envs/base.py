@@ -1,0 +1,329 @@
+"""What all engines share: where recordings come from, actions, random numbers, the life of a lane.
+
+An engine holds N lanes, each a filter on a recording. The single environment is an engine with one
+lane; `faces.py` has the two Gymnasium faces. What a lane does in one decision is a compiled kernel of
+the engine's own.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navgym._checks import Array, one_of, positive_int
+from navgym._compile import entry
+from navgym.parameters import ParameterSpace
+from navgym.scenarios.seeds import SIZE, seeds
+from navgym.simulation import find_scenario, simulate_many
+
+# the first columns of a decision's outcome, in every engine; information follows
+REWARD, TERMINATED, TRUNCATED, INFORMATION = range(4)
+
+
+@dataclass(frozen=True)
+class LaneSettings:
+    """What an environment is made of; its class explains each argument."""
+
+    scenario: Any
+    overrides: Mapping[str, Any] | None = None
+    split: str = "train"
+    pool: int | None = None
+    recordings: Any = None  # a recording or several
+    decision_interval: int = 1
+    action_parameters: str | Sequence[str] = ()
+    action: str = "absolute"
+    reference: Mapping[str, Any] | None = None
+    reward: str = ""
+    reward_clip: float = 20.0
+
+    SPACE: ClassVar[ParameterSpace]
+    REWARDS: ClassVar[tuple[str, ...]]
+    RECORDING: ClassVar[type]
+    SCENARIO: ClassVar[type]
+
+    def __post_init__(self) -> None:
+        positive_int("decision_interval", self.decision_interval)
+        one_of("action", self.action, ("absolute", "residual"))
+        one_of("reward", self.reward, self.REWARDS)
+        seeds(self.split, 0)
+        if not self.reward_clip > 0.0:
+            raise ValueError(f"reward_clip must be positive, got {self.reward_clip}.")
+        if self.pool is not None:
+            positive_int("pool", self.pool)
+        given = self.action_parameters
+        names = (given,) if isinstance(given, str) else tuple(given)
+        space = self.SPACE.subset(names)
+        if not names or len(set(names)) != len(names):
+            raise ValueError(f"action_parameters must be one or more distinct names, got {names}.")
+        if isinstance(self.recordings, self.RECORDING):
+            object.__setattr__(self, "recordings", (self.recordings,))
+        for p in space:
+            if p.at_start:
+                raise ValueError(f"{p.name} acts at the start only: set it through `reference=`.")
+        object.__setattr__(self, "action_parameters", names)
+
+
+@dataclass(eq=False)
+class Shelf:
+    """Recordings made ready for agents.
+
+    Args:
+        tapes: (R, K) records of prepared samples.
+        models: (R, ·) packed models.
+        stations: (R,) records: how a lane begins each recording.
+        labels: what each recording is.
+        extra: further arrays with a row per recording, by name.
+    """
+
+    tapes: NDArray[Any]
+    models: NDArray[Any]
+    stations: NDArray[Any]
+    labels: list[dict[str, Any]]
+    extra: dict[str, NDArray[Any]]
+
+    def put(self, i: int, made: Shelf) -> None:
+        """Put the one recording of `made` in place i."""
+        length = int(made.stations["length"][0])
+        if not np.shares_memory(self.tapes, made.tapes):
+            self.tapes[i, :length] = made.tapes[0]
+        self.models[i], self.stations[i] = made.models[0], made.stations[0]
+        self.labels[i] = made.labels[0]
+        for name, array in made.extra.items():
+            row = self.extra[name][i]
+            row[: len(array[0])] = array[0]
+
+
+class LaneEngine:
+    """N lanes of one environment; every random number of lane i comes from its own generator.
+
+    Args:
+        settings: what the environment is made of.
+        lanes: how many.
+        trail: whether to keep every state estimate of the current recordings (for rendering).
+    """
+
+    INFO_NAMES: ClassVar[tuple[str, ...]]  # columns of an outcome after the first three
+    LIMIT: ClassVar[float]  # observations lie within plus or minus this
+
+    # what an engine allocates in `_allocate`
+    lanes: NDArray[Any]
+    stations: NDArray[Any]
+    trail: Array
+
+    def __init__(self, settings: LaneSettings, lanes: int, trail: bool = False) -> None:
+        self.settings = settings
+        self.space = settings.SPACE
+        self.count = positive_int("num_envs", lanes)
+        self._scenarios = self._find_scenarios()
+        self.reference = self._reference_of(self._scenarios[0])
+        self._generators: list[np.random.Generator] = [
+            np.random.default_rng() for _ in range(lanes)
+        ]
+        self._begin()
+        self._shared = self._build_pool()
+        self.shelf = self._shared or self._empty_shelf(lanes)
+        self.table = self._action_table()
+        self._actions = np.zeros((lanes, len(self.table)), dtype=np.float32)
+        self._outcomes = np.zeros((lanes, INFORMATION + len(self.INFO_NAMES) + len(self.space)))
+        self._allocate(trail)
+        self._decide: Callable[..., Any] | None = None
+        self._world = self._gather()
+
+    # ---- what each engine says for itself ----------------------------------------------
+
+    def _begin(self) -> None:
+        """Whatever must be known before recordings are made."""
+
+    def _allocate(self, trail: bool) -> None:
+        """Allocate lanes, stations and the trail."""
+        raise NotImplementedError
+
+    def _empty_shelf(self, lanes: int) -> Shelf:
+        """A place per lane, for recordings that are simulated when the lane restarts."""
+        raise NotImplementedError
+
+    def prepare(
+        self,
+        recordings: Sequence[Any],
+        rows: Sequence[Array],
+        place: NDArray[Any] | None = None,
+    ) -> Shelf:
+        """Make recordings ready.
+
+        Args:
+            recordings: what to prepare.
+            rows: the reference filter's parameters for each.
+            place: tapes (R, K) to write to, used if they have the right size.
+        """
+        raise NotImplementedError
+
+    def _start_lane(self, i: int, which: int, start: int | None) -> NDArray[np.float32]:
+        """Put lane i at the start of recording `which`; returns the first observation."""
+        raise NotImplementedError
+
+    def _gather(self) -> tuple[Any, ...]:
+        """The kernel's arguments before the observations."""
+        raise NotImplementedError
+
+    @property
+    def kernel(self) -> Any:
+        """The compiled decision: takes what `_gather` holds, observations, outcomes and the trail."""
+        raise NotImplementedError
+
+    @property
+    def observation_names(self) -> tuple[str, ...]:
+        """One name per element of an observation."""
+        raise NotImplementedError
+
+    # ---- actions ---------------------------------------------------------------------------
+
+    def _action_table(self) -> Array:
+        """Rows for `kernels.set_parameters`."""
+        space = self.space.subset(self.settings.action_parameters)
+        rows = []
+        for p, (low, high, code, integer) in zip(space, space.table(), strict=True):
+            residual = self.settings.action == "residual"
+            column = self.space.index(p.name)
+            own = p.warp(self.space.array(self.reference)[0, column])
+            centre = own if residual else (low + high) / 2
+            rows.append((column, centre, (high - low) / 2, low, high, code, integer, p.low, p.high))
+        return np.array(rows, dtype=np.float64)
+
+    @property
+    def info_fields(self) -> tuple[str, ...]:
+        """Names of an outcome's columns after the first three."""
+        return (*self.INFO_NAMES, *self.space.names)
+
+    # ---- where recordings come from ----------------------------------------------------
+
+    def _find_scenarios(self) -> tuple[Any, ...]:
+        given, kind = self.settings.scenario, self.settings.SCENARIO
+        names = (given,) if isinstance(given, (str, kind)) else tuple(given)
+        if not names:
+            raise ValueError("scenario must name at least one scenario, got none.")
+        found = tuple(find_scenario(n, **dict(self.settings.overrides or {})) for n in names)
+        for scenario, name in zip(found, names, strict=True):
+            if not isinstance(scenario, kind):
+                raise ValueError(  # noqa: TRY004
+                    f"scenario {name!r} is of another kind ({type(scenario).__name__}): this "
+                    f"environment plays a {kind.__name__}."
+                )
+        return found
+
+    def _reference_of(self, scenario: Any) -> dict[str, Any]:
+        """Parameters of the reference filter: those given, else the scenario's best fixed ones.
+
+        Recordings of one's own have no scenario: the filter's defaults are their reference.
+        """
+        chosen = self.settings.reference
+        if chosen is None:
+            chosen = {} if self.settings.recordings is not None else scenario.reference
+        if len(self.space.array(chosen)) > 1:
+            raise ValueError(f"reference must hold one number per parameter, got {chosen!r}.")
+        return self.space.defaults | dict(chosen)
+
+    def _row(self, reference: Mapping[str, Any]) -> Array:
+        row: Array = self.space.array(reference)[0]
+        return row
+
+    def _build_pool(self) -> Shelf | None:
+        given = self.settings.recordings
+        if given is not None:
+            if not len(given):
+                raise ValueError("recordings must hold at least one recording, got none.")
+            return self.prepare(list(given), [self._row(self.reference)] * len(given))
+        if self.settings.pool is None:
+            return None
+        each = -(-self.settings.pool // len(self._scenarios))
+        drawn = [
+            (r, self._row(self._reference_of(s)))
+            for s in self._scenarios
+            for r in simulate_many(s, seeds(self.settings.split, each))
+        ][: self.settings.pool]
+        return self.prepare([r for r, _ in drawn], [row for _, row in drawn])
+
+    def _draw(self, rng: np.random.Generator) -> tuple[Any, Array]:
+        """A new recording made with numbers from `rng`, and its reference parameters."""
+        first = seeds(self.settings.split, 1)[0]
+        scenario = self._scenarios[int(rng.integers(len(self._scenarios)))]
+        recording = simulate_many(scenario, [first + int(rng.integers(SIZE))])[0]
+        return recording, self._row(self._reference_of(scenario))
+
+    # ---- life of a lane -------------------------------------------------------------
+
+    def seed(self, i: int, generator: np.random.Generator) -> None:
+        """Give lane i its source of randomness."""
+        self._generators[i] = generator
+
+    def restart(
+        self, i: int, recording: int | None = None, start: int | None = None
+    ) -> NDArray[np.float32]:
+        """Put lane i at the start of a recording; returns its first observation.
+
+        Args:
+            i: the lane.
+            recording: number in the pool or in the given recordings; None draws one.
+            start: filter steps to take beforehand with the reference parameters; None: as many as
+                the environment always takes.
+        """
+        if self._shared is None:
+            if recording is not None:
+                raise ValueError("options['recording'] needs recordings= or pool= to choose from.")
+            which = i
+            made, row = self._draw(self._generators[i])
+            self.shelf.put(i, self.prepare([made], [row], self.shelf.tapes[i : i + 1]))
+        else:
+            count = len(self.shelf.stations)
+            which = int(self._generators[i].integers(count)) if recording is None else recording
+            if not 0 <= which < count:
+                raise ValueError(f"options['recording'] must lie in 0..{count - 1}, got {which}.")
+        length = int(self.shelf.stations["length"][which])
+        if start is not None and not 0 <= start < length:
+            raise ValueError(f"options['start'] must lie in 0..{length - 1}, got {start}.")
+        station = self.stations[i : i + 1]
+        station[...] = self.shelf.stations[which]
+        station["which"] = which
+        self.trail[i] = np.nan
+        return self._start_lane(i, which, start)
+
+    def label(self, i: int) -> dict[str, Any]:
+        """What lane i's recording is: scenario, seed, number in the pool."""
+        return copy.deepcopy(self.shelf.labels[int(self.stations["which"][i])])
+
+    def step(self, actions: NDArray[Any], obs: NDArray[np.float32]) -> Array:
+        """One decision of every active lane: fills `obs` (N, ·) and returns outcomes (N, ·).
+
+        The outcomes are overwritten by the next step.
+
+        Raises ValueError for actions (N, k) of another shape or with an element that is no number.
+        """
+        if actions.shape != self._actions.shape:
+            single = self.count == 1 and actions.shape[:1] == (1,)
+            wanted, got = (self._actions.shape, actions.shape)
+            raise ValueError(
+                f"action must have shape {wanted[1:] if single else wanted}, "
+                f"got {got[1:] if single else got}."
+            )
+        self._actions[...] = actions  # the kernel is entered without a check of types
+        out = self._outcomes
+        out[...] = 0.0
+        arguments = (*self._world, obs, out, self.trail)
+        if self._decide is None:
+            self._decide = entry(self.kernel, arguments)
+        if not self._decide(*arguments):
+            raise ValueError(f"action must be numbers in -1..1, got {actions}.")
+        return out
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Machine code stays behind; a copy looks it up again."""
+        return self.__dict__ | {"_decide": None, "_world": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore, and tie the kernel's arguments to this object's own arrays."""
+        self.__dict__.update(state)
+        self._world = self._gather()
