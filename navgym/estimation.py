@@ -5,16 +5,19 @@ from __future__ import annotations
 import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any, overload
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from navgym._checks import Array, one_of, positive_int
-from navgym.batch import Batch, stretch
-from navgym.filters.catalogue import CATALOGUE, Filter
-from navgym.parameters import ParameterSpace
+from navgym.batch import Batch
+from navgym.filters.catalogue import CATALOGUE, DECK_CATALOGUE, Filter
+from navgym.parameters import ParameterSpace, parameter_table
 from navgym.recording import Recording
+
+if TYPE_CHECKING:
+    from navgym.deck_estimation import DeckEstimate
+    from navgym.dual_imu import DualIMURecording
 
 DECISION_INTERVAL = 5  # filter steps per row of a parameter schedule, as in the environments
 
@@ -47,42 +50,77 @@ class Estimate:
 
 
 def filters() -> dict[str, str]:
-    """Every filter's name and one line on it."""
-    return {f.name: f.summary for f in CATALOGUE.values()}
+    """Every filter's name and one line on it. Those of the deck take recordings of two IMUs."""
+    found = {f.name: f.summary for f in CATALOGUE.values()}
+    for f in DECK_CATALOGUE.values():
+        both = f"{found[f.name]}; of two IMUs: {f.summary}" if f.name in found else f.summary
+        found[f.name] = both
+    return found
 
 
 def find(filter_name: str) -> Filter:
-    """The catalogue's entry; ValueError with the nearest name if there is none."""
+    """The entry for single recordings; ValueError with the nearest name if there is none."""
+    if filter_name in DECK_CATALOGUE and filter_name not in CATALOGUE:
+        raise ValueError(
+            f"filter {filter_name!r} needs a recording of two IMUs (navgym.DualIMURecording): use "
+            f"one of {', '.join(CATALOGUE)}."
+        )
     return CATALOGUE[one_of("filter", filter_name, CATALOGUE)]
 
 
-def parameter_space(filter_name: str) -> ParameterSpace:
-    """What can be tuned in a filter."""
-    return find(filter_name).space
+def parameter_space(filter_name: str, deck: bool = False) -> ParameterSpace:
+    """What can be tuned in a filter; `deck` tells the deck's oracle from the other one."""
+    everyone = DECK_CATALOGUE | CATALOGUE if not deck else CATALOGUE | DECK_CATALOGUE
+    return everyone[one_of("filter", filter_name, everyone)].space
+
+
+@overload
+def estimate(
+    filter_name: str,
+    recording: Recording,
+    parameters: Parameters = ...,
+    decision_interval: int | None = ...,
+) -> Estimate: ...
+
+
+@overload
+def estimate(
+    filter_name: str,
+    recording: DualIMURecording,
+    parameters: Parameters = ...,
+    decision_interval: int | None = ...,
+) -> DeckEstimate: ...
 
 
 def estimate(
     filter_name: str,
-    recording: Recording,
+    recording: Recording | DualIMURecording,
     parameters: Parameters = None,
-    decision_interval: int = DECISION_INTERVAL,
-) -> Estimate:
+    decision_interval: int | None = None,
+) -> Estimate | DeckEstimate:
     """Run one filter over one recording.
 
     Args:
         filter_name: a name of `navgym.filters()`.
-        recording: what was measured.
+        recording: what was measured: a `Recording`, or a `DualIMURecording` for the deck's filters,
+            which return a `DeckEstimate`.
         parameters: a dict of tunables (missing ones at their defaults); its values may be lists
             with one number per decision interval, or the whole may be an array (intervals,
             parameters) in the order of `navgym.parameter_space`: a schedule. Its last row holds
             to the end.
-        decision_interval: samples per row of a schedule.
+        decision_interval: samples per row of a schedule: 5 by default, on decks the filter steps
+            that make up 1 s.
 
     Raises:
         ValueError: unknown filter or parameter, a value outside its range, a recording that the
             filter cannot use.
     """
+    if not isinstance(recording, Recording):
+        from navgym.deck_estimation import estimate_deck
+
+        return estimate_deck(filter_name, recording, parameters, decision_interval)
     batch = Batch.of([recording])
+    decision_interval = DECISION_INTERVAL if decision_interval is None else decision_interval
     result = run(filter_name, batch, parameters, decision_interval, everything=True)
     return Estimate(
         states=result["states"][0],
@@ -123,7 +161,9 @@ def run(
             "carry: use process_scale and measurement_scale of Recording, or another filter."
         )
     family = importlib.import_module(f"navgym.filters.{chosen.family}")
-    table = _parameter_table(chosen.space, parameters, batch, decision_interval)
+    table = parameter_table(
+        chosen.space, parameters, len(batch), batch.y.shape[1], decision_interval
+    )
     outputs: dict[str, Array] = family.estimate(chosen, batch, table, decision_interval, everything)
     return outputs
 
@@ -137,30 +177,3 @@ def _check_linear(chosen: Filter, batch: Batch) -> None:
         f"filter {chosen.name!r} needs a LinearModel, but the recording's model is nonlinear: "
         f"use one of {able}, or give the recording a LinearModel of what it measures."
     )
-
-
-def _parameter_table(
-    space: ParameterSpace, parameters: Any, batch: Batch, decision_interval: int
-) -> Array:
-    """Parameters as (N or 1, intervals, columns), checked."""
-    steps = batch.y.shape[1]
-    per_lane = isinstance(parameters, (list, tuple)) and any(
-        isinstance(p, Mapping) for p in parameters
-    )
-    if per_lane and not all(isinstance(p, Mapping) for p in parameters):
-        raise ValueError(f"parameters must hold dicts or numbers, not both, got {parameters!r}.")
-    if per_lane and len(parameters) not in (1, len(batch)):
-        raise ValueError(
-            f"parameters must hold one dict per recording, got {len(parameters)} for "
-            f"{len(batch)} recordings."
-        )
-    rows = [space.array(p) for p in parameters] if per_lane else [space.array(parameters)]
-    most = -(-steps // decision_interval)
-    for row in rows:
-        if len(row) > most:
-            raise ValueError(
-                f"a schedule for {steps} samples at decision_interval={decision_interval} has at "
-                f"most {most} rows, got {len(row)}."
-            )
-    longest = max(len(row) for row in rows)
-    return np.stack([stretch(row, longest) for row in rows])

@@ -64,16 +64,16 @@ class FlexureModel(Frozen):
     def from_correlation_time(
         cls, tau: ArrayLike, sigma: ArrayLike, oscillation: ArrayLike = 0.0
     ) -> FlexureModel:
-        """The model of IDAM section 5: μ = 2.146/τ, λ = `oscillation` · μ, so b² = μ² + λ².
+        """The model of IDAM section 5: b = 2.146/τ, λ = `oscillation` · μ, so μ = b/√(1 + (λ/μ)²).
 
         Args:
             tau: (3,) s, time in which the correlation of a critically damped axis falls to 1/e.
             sigma: (3,) rad.
-            oscillation: (3,) λ/μ; 0 is critical damping.
+            oscillation: λ/μ, or (3,) of them; 0 is critical damping, more than 0 oscillates.
         """
-        mu = CRITICAL / real_array("tau", tau)
-        ratio = np.broadcast_to(real_array("oscillation", oscillation), mu.shape)
-        return cls(2.0 * mu, mu**2 * (1.0 + ratio**2), sigma)
+        b = CRITICAL / real_array("tau", tau)
+        mu = b / np.sqrt(1.0 + real_array("oscillation", oscillation) ** 2)
+        return cls(2.0 * mu, b**2, sigma)
 
     @property
     def frequency_squared(self) -> Array:

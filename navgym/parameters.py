@@ -244,3 +244,33 @@ class ParameterSpace:
         """Short hash of names, ranges and scales: two spaces with the same one are exchangeable."""
         text = repr([(p.name, p.low, p.high, p.scale, p.integer, p.choices) for p in self])
         return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def parameter_table(
+    space: ParameterSpace, parameters: Any, count: int, steps: int, decision_interval: int
+) -> Array:
+    """Parameters for `count` recordings of `steps` samples, (count or 1, intervals, parameters).
+
+    `parameters` is anything that `ParameterSpace.array` takes, for all of them, or a list with one dict per
+    recording. Raises ValueError for what does not fit.
+    """
+    per_lane = isinstance(parameters, (list, tuple)) and any(
+        isinstance(p, Mapping) for p in parameters
+    )
+    if per_lane and not all(isinstance(p, Mapping) for p in parameters):
+        raise ValueError(f"parameters must hold dicts or numbers, not both, got {parameters!r}.")
+    if per_lane and len(parameters) not in (1, count):
+        raise ValueError(
+            f"parameters must hold one dict per recording, got {len(parameters)} for "
+            f"{count} recordings."
+        )
+    rows = [space.array(p) for p in parameters] if per_lane else [space.array(parameters)]
+    most = -(-steps // decision_interval)
+    for row in rows:
+        if len(row) > most:
+            raise ValueError(
+                f"a schedule for {steps} samples at decision_interval={decision_interval} has at "
+                f"most {most} rows, got {len(row)}."
+            )
+    longest = max(len(row) for row in rows)
+    return np.stack([row[np.minimum(np.arange(longest), len(row) - 1)] for row in rows])

@@ -52,4 +52,33 @@ _ALL = (
     Filter("cukf", "unscented and cubature stages in turn: CUKF, corrected", spaces.SIGMA, "nonlinear", 2, nonlinear=True),
 )  # fmt: skip
 
+
+@dataclass(frozen=True)
+class Deck:
+    """What sets the members of the deck's family of filters apart.
+
+    Args:
+        method: how the flexure is identified on line (see `navgym.identification`); None: never.
+        truth: whether the true flexure and the true noises are known.
+        printed: whether weights, Q, covariance and increments are the paper's own.
+    """
+
+    method: str | None = None
+    truth: bool = False
+    printed: bool = False
+
+
+_DECK = (
+    Filter("alignment", "24-state deck filter, the flexure as believed: an extended Kalman filter", spaces.ALIGNMENT, "deck", Deck()),
+    Filter("alignment_mcc", "the same, robust by the correntropy criterion", spaces.ALIGNMENT_MCC, "deck", Deck()),
+    Filter("idam", "flexure identified on line by an RVM, correntropy, model prediction: IDAM, corrected", spaces.IDAM, "deck", Deck("rvm")),
+    Filter("idam_printed", "IDAM as printed: body-frame increments, weights judged by R", spaces.IDAM_PRINTED, "deck", Deck("rvm", printed=True)),
+    Filter("svram", "flexure identified by support vector regression", spaces.IDENTIFIED, "deck", Deck("svr")),
+    Filter("woam", "flexure identified by whale optimisation", spaces.IDENTIFIED, "deck", Deck("whale")),
+    Filter("oracle", "knows the true flexure and the true noises of each step", spaces.ALIGNMENT, "deck", Deck(truth=True), needs_scales=True),
+)  # fmt: skip
+
+# by name, for recordings of two IMUs; both halves have an oracle
+DECK_CATALOGUE: Mapping[str, Filter] = MappingProxyType({f.name: f for f in _DECK})
+
 CATALOGUE: Mapping[str, Filter] = MappingProxyType({f.name: f for f in _ALL})

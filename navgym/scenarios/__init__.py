@@ -7,10 +7,12 @@ import sys
 
 from navgym._callable import CallableModule
 from navgym.scenarios.auv import CATALOGUE, SHIFTS, AUVScenario, Loss, Regime, Turns
+from navgym.scenarios.deck import DECK_CATALOGUE, DeckRegime, DeckScenario, ImuErrors
 from navgym.scenarios.seeds import SPLITS, seeds, split_of
 
 __all__ = [
-    "CATALOGUE", "SHIFTS", "SPLITS", "AUVScenario", "Loss", "Regime", "Turns", "seeds", "split_of",
+    "CATALOGUE", "DECK_CATALOGUE", "SHIFTS", "SPLITS", "AUVScenario", "DeckRegime", "DeckScenario",
+    "ImuErrors", "Loss", "Regime", "Turns", "seeds", "split_of",
 ]  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from navgym.models import Model, constant_velocity
 from navgym.recording import Recording
 from navgym.scenarios.auv import AUVScenario, Loss, Regime
 from navgym.scenarios.seeds import split_of
+from navgym.simulation.regimes import sequence
 from navgym.turn_model import CoordinatedTurnModel
 
 STREAM = 0xA0  # first word of every AUV seed sequence: other simulators take other words
@@ -40,7 +41,7 @@ def simulate(scenario: AUVScenario, seeds: Sequence[int]) -> list[Recording]:
         track, noise, loss, order = (
             np.random.default_rng(s) for s in np.random.SeedSequence([STREAM, seed]).spawn(4)
         )
-        regime = _regimes(len(regimes), scenario.dwell, scenario.steps, order)
+        regime = sequence(len(regimes), scenario.dwell, scenario.steps, order)
         q = np.array([r.process_scale for r in regimes])[regime]
         r = _measurement_scales(regimes, regime, noise)
         truth = _track(scenario, model, square_roots, q, track)
@@ -76,22 +77,6 @@ def _effective(regime: Regime, scenario: AUVScenario) -> Regime:
         degrees=regime.degrees,
         loss=regime.loss,
     )
-
-
-def _regimes(
-    count: int, dwell: tuple[int, int], steps: int, rng: np.random.Generator
-) -> NDArray[np.int64]:
-    """Label of the regime at each sample: dwell uniform, the next uniform among the others."""
-    labels = np.zeros(steps, dtype=np.int64)
-    if count == 1:
-        return labels
-    now, k = int(rng.integers(count)), 0
-    while k < steps:
-        stay = int(rng.integers(dwell[0], dwell[1] + 1))
-        labels[k : k + stay] = now
-        k += stay
-        now = (now + 1 + int(rng.integers(count - 1))) % count
-    return labels
 
 
 def _measurement_scales(

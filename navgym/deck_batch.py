@@ -1,0 +1,63 @@
+"""Deck recordings made ready for the kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navgym._checks import Array
+from navgym.dual_imu import DualIMURecording
+from navgym.filters.mechanization import tapes_of
+
+
+@dataclass(frozen=True, eq=False)
+class DeckBatch:
+    """Recordings of two IMUs, mechanised once for every filter that will run over them.
+
+    Args:
+        recordings: what they were made of.
+        tapes: (N, K) records of `navgym.filters.mechanization.TAPE`, 6.9 kB per second at 20 Hz.
+        lengths: (N,) filter steps of each; shorter ones end in zeros.
+    """
+
+    recordings: tuple[DualIMURecording, ...]
+    tapes: NDArray[Any]
+    lengths: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, recordings: Sequence[DualIMURecording]) -> DeckBatch:
+        """Mechanise `recordings`; ValueError if there is none, or if their steps differ."""
+        given = tuple(recordings)
+        if not given:
+            raise ValueError("recordings must hold at least one DualIMURecording, got none.")
+        for r in given:
+            if not isinstance(r, DualIMURecording):
+                raise TypeError(f"a deck recording must be a DualIMURecording, got {type(r)}.")
+        steps = {round(r.step, 9) for r in given}
+        if len(steps) > 1:
+            raise ValueError(
+                f"recordings must share one filter step, got {sorted(steps)} s: split them."
+            )
+        tapes, lengths = tapes_of(given)
+        return cls(given, tapes, lengths)
+
+    def __len__(self) -> int:
+        return len(self.recordings)
+
+    @property
+    def step(self) -> float:
+        """Seconds per filter step."""
+        return self.recordings[0].step
+
+    @property
+    def truth(self) -> Array | None:
+        """(N, K, 6) true θ and θ̇, NaN past a recording's end; None where one lacks them."""
+        if any(r.theta is None or r.theta_rate is None for r in self.recordings):
+            return None
+        known = np.concatenate([self.tapes["theta"], self.tapes["theta_rate"]], axis=-1)
+        known[np.arange(known.shape[1]) >= self.lengths[:, None]] = np.nan
+        return known

@@ -1,0 +1,221 @@
+"""From increments of two IMUs to the matching quantities of IDAM eq. 58-71.
+
+The frames im and is are the IMUs' own axes, frozen at the start. One *tape* record per filter step
+holds what a filter needs of it; none of it depends on a filter's parameters, so it is made once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from navgym._checks import Array
+from navgym._compile import kernel, part
+from navgym.dual_imu import DualIMURecording
+
+_f8, _i8 = np.float64, np.int64
+TAPE = np.dtype(
+    [
+        ("V_s", _f8, (3,)),  # ∫ C_s^is f_s, m/s, with the step's disturbance
+        ("V_m", _f8, (3,)),  # ∫ C_m^im f_m plus the rigid lever arm's part, m/s
+        ("w_s", _f8, (3,)),  # mean rate over the step in is, rad/s, with its disturbance
+        ("w_m", _f8, (3,)),  # the same of the main IMU in im
+        ("dV", _f8, (3,)),  # what the step added to V_s
+        ("q_s", _f8, (4,)),  # C_s^is at the end of the step, as a quaternion, scalar first
+        ("q_mid", _f8, (4,)),  # the same in its middle
+        ("q_m", _f8, (4,)),  # C_m^im at the end of the step
+        ("omega", _f8, (3,)),  # main IMU's rate in its own axes at the end of the step, rad/s
+        ("gap", _i8),  # IMU samples of the step that were filled in
+        ("model", _i8),  # which of the lane's models holds in the step
+        ("theta", _f8, (3,)),  # truth, rad, NaN where it is not known
+        ("theta_rate", _f8, (3,)),
+        ("regime", _f8),
+    ]
+)  # 344 bytes: 6.9 kB per second at 20 Hz
+
+
+def tapes_of(recordings: Sequence[DualIMURecording]) -> tuple[NDArray[Any], NDArray[np.int64]]:
+    """Tapes (N, K) of recordings and their lengths (N,); shorter ones are padded with zeros."""
+    lengths = np.array([r.steps for r in recordings])
+    tapes = np.zeros((len(recordings), int(lengths.max())), TAPE)
+    for tape, r in zip(tapes, recordings, strict=True):
+        write_tape(r, tape[: r.steps])
+    return tapes, lengths
+
+
+def write_tape(recording: DualIMURecording, tape: NDArray[Any]) -> None:
+    """Fill `tape` (K,) from one recording."""
+    imu, filled = _filled(recording)
+    disturbance = recording.disturbance
+    mechanize(
+        *imu, filled, recording.model.lever_arm, recording.interval,
+        np.empty((0, 6)) if disturbance is None else disturbance, tape,
+    )  # fmt: skip
+    for name in ("theta", "theta_rate"):
+        value = getattr(recording, name)
+        tape[name] = np.nan if value is None else recording.at_steps(value)
+    regime = recording.regime
+    tape["regime"] = np.nan if regime is None else recording.at_steps(regime)
+
+
+def coarse_alignment(recording: DualIMURecording) -> Rotation:
+    """Attitude of the sub in the main IMU's axes that best maps rates and forces onto each other.
+
+    Wahba's problem over one-second means of rates and of changes of specific force, each kind at
+    unit weight in all. Good to some arcminutes where both IMUs move; the dynamic deformation is its noise.
+    """
+    block = max(1, round(1.0 / recording.interval))
+    count = len(recording) // block
+    pairs = []
+    for kind in ("angle", "velocity"):
+        sides = []
+        for imu in ("main", "sub"):
+            x = getattr(recording, f"{imu}_{kind}")[: count * block]
+            sides.append(x.reshape(count, block, 3).sum(axis=1))
+        good = np.isfinite(sides[0]).all(axis=1) & np.isfinite(sides[1]).all(axis=1)
+        size = np.linalg.norm(sides[0][good]) or 1.0
+        pairs.append([side[good] / size for side in sides])
+    main, sub = (np.concatenate([p[i] for p in pairs]) for i in range(2))
+    return Rotation.align_vectors(main, sub)[0]
+
+
+def _filled(recording: DualIMURecording) -> tuple[list[Array], NDArray[np.bool_]]:
+    """The four streams without NaN, and which samples (T,) were filled in.
+
+    A missing sample of one IMU is taken from the other by the coarse alignment; where both are
+    missing, the last one received is held.
+    """
+    names = ("main_angle", "main_velocity", "sub_angle", "sub_velocity")
+    streams = [getattr(recording, name) for name in names]
+    filled = recording.gaps
+    if not filled.any():
+        return streams, filled
+    turn = coarse_alignment(recording)
+    whole = [s.copy() for s in streams]
+    for i, s in enumerate(streams):
+        missing = np.isnan(s).any(axis=1)
+        other = streams[(i + 2) % 4]
+        whole[i][missing] = (turn if i < 2 else turn.inv()).apply(other[missing])
+        missing = np.isnan(whole[i]).any(axis=1)
+        last = np.maximum.accumulate(np.where(missing, 0, np.arange(len(s))))
+        whole[i] = np.nan_to_num(whole[i][last])
+    return whole, filled
+
+
+@part
+def turn(q, v, out):
+    """out = C(q) v for a unit quaternion, scalar first."""
+    a0 = 2.0 * (q[2] * v[2] - q[3] * v[1])
+    a1 = 2.0 * (q[3] * v[0] - q[1] * v[2])
+    a2 = 2.0 * (q[1] * v[1] - q[2] * v[0])
+    out[0] = v[0] + q[0] * a0 + q[2] * a2 - q[3] * a1
+    out[1] = v[1] + q[0] * a1 + q[3] * a0 - q[1] * a2
+    out[2] = v[2] + q[0] * a2 + q[1] * a1 - q[2] * a0
+
+
+@part
+def advance(q, angle, velocity, last_angle, last_velocity, V, mean):
+    """One sample of strapdown mechanisation: q, V and the sum of turned angle increments move on.
+
+    The rotation vector and the velocity increment carry the two-sample coning and sculling
+    corrections (Savage 1998), the latter with the rotation within the sample.
+    """
+    r, v = np.empty(3), np.empty(3)
+    for i in range(3):
+        n, m = (i + 1) % 3, (i + 2) % 3
+        coning = last_angle[n] * angle[m] - last_angle[m] * angle[n]
+        r[i] = angle[i] + coning / 12.0
+        rotation = angle[n] * velocity[m] - angle[m] * velocity[n]
+        sculling = last_angle[n] * velocity[m] - last_angle[m] * velocity[n]
+        sculling += last_velocity[n] * angle[m] - last_velocity[m] * angle[n]
+        v[i] = velocity[i] + 0.5 * rotation + sculling / 12.0
+    turned = np.empty(3)
+    turn(q, v, turned)
+    for i in range(3):
+        V[i] += turned[i]
+    square = r[0] * r[0] + r[1] * r[1] + r[2] * r[2]
+    # half-angle sine over angle, and cosine: series where they are exact to rounding
+    if square < 1e-4:
+        s = 0.5 - square / 48.0 + square * square / 3840.0
+        c = 1.0 - square / 8.0 + square * square / 384.0
+    else:
+        size = math.sqrt(square)
+        s, c = math.sin(0.5 * size) / size, math.cos(0.5 * size)
+    x, y, z = s * r[0], s * r[1], s * r[2]
+    a, b, d, e = q[0], q[1], q[2], q[3]
+    q[0] = a * c - b * x - d * y - e * z
+    q[1] = a * x + b * c + d * z - e * y
+    q[2] = a * y - b * z + d * c + e * x
+    q[3] = a * z + b * y - d * x + e * c
+    scale = 1.5 - 0.5 * (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    for i in range(4):
+        q[i] *= scale
+    # the mean rate over the sample in inertial axes: turning by half the way is exact to h²
+    for i in range(3):
+        n, m = (i + 1) % 3, (i + 2) % 3
+        v[i] = r[i] - 0.5 * (angle[n] * r[m] - angle[m] * r[n])
+    turn(q, v, turned)
+    for i in range(3):
+        mean[i] += turned[i]
+
+
+@kernel
+def mechanize(
+    main_angle, main_velocity, sub_angle, sub_velocity, filled, lever, h, disturbance, tape
+):
+    """Fill the matching quantities of a tape (K,) from increments (T, 3) of both IMUs.
+
+    The rigid lever arm's velocity needs no derivative of a rate: ∫ C (ω×ω×r + ω̇×r) is
+    C (ω × r) less its value at the start. The rate at the end of a sample is extrapolated
+    through the last three increments.
+    """
+    steps, per = len(tape), len(main_angle) // len(tape)
+    q_m, q_s = np.array([1.0, 0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
+    V_m, V_s, w_m, w_s = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
+    before, swing, omega = np.zeros(3), np.zeros(3), np.zeros(3)
+    start, levered = np.zeros(3), np.zeros(3)
+    first, second, third = main_angle[0], main_angle[1], main_angle[2]
+    for i in range(3):
+        omega[i] = (11.0 * first[i] - 7.0 * second[i] + 2.0 * third[i]) / (6.0 * h)
+    for i in range(3):
+        n, m = (i + 1) % 3, (i + 2) % 3
+        start[i] = omega[n] * lever[m] - omega[m] * lever[n]
+    for step in range(steps):
+        out = tape[step]
+        out.gap = 0
+        out.model = 0
+        for i in range(3):
+            w_m[i], w_s[i], before[i] = 0.0, 0.0, V_s[i]
+        for k in range(step * per, (step + 1) * per):
+            j = max(k - 1, 0)
+            advance(q_m, main_angle[k], main_velocity[k], main_angle[j], main_velocity[j], V_m, w_m)
+            advance(q_s, sub_angle[k], sub_velocity[k], sub_angle[j], sub_velocity[j], V_s, w_s)
+            out.gap += filled[k]
+            if k - step * per == (per - 1) // 2:
+                for i in range(4):
+                    out.q_mid[i] = q_s[i]
+        k = (step + 1) * per - 1
+        a, b, c = main_angle[k], main_angle[max(k - 1, 0)], main_angle[max(k - 2, 0)]
+        for i in range(3):
+            omega[i] = (11.0 * a[i] - 7.0 * b[i] + 2.0 * c[i]) / (6.0 * h)
+        for i in range(3):
+            n, m = (i + 1) % 3, (i + 2) % 3
+            swing[i] = omega[n] * lever[m] - omega[m] * lever[n]
+        turn(q_m, swing, levered)
+        for i in range(3):
+            out.V_m[i] = V_m[i] + levered[i] - start[i]
+            out.V_s[i] = V_s[i]
+            out.w_m[i] = w_m[i] / (per * h)
+            out.w_s[i] = w_s[i] / (per * h)
+            out.dV[i] = V_s[i] - before[i]
+            out.omega[i] = omega[i]
+            if len(disturbance) > 0:
+                out.V_s[i] += disturbance[step, i]
+                out.w_s[i] += disturbance[step, 3 + i]
+        for i in range(4):
+            out.q_m[i], out.q_s[i] = q_m[i], q_s[i]
