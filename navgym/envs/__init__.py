@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-AUV_DROPOUT = "navgym/AUVDropout-v0"
+# id: module and name of the single environment; its vector face is called ...VectorEnv
+ENVIRONMENTS = {
+    "navgym/AUVDropout-v0": "navgym.envs.auv:AUVDropout",
+    "navgym/DeckDeformation-v0": "navgym.envs.deck:DeckDeformation",
+}
 
 
 def register_all() -> None:
     """Register every environment of navgym with Gymnasium; doing it twice changes nothing."""
     import gymnasium
 
-    if AUV_DROPOUT not in gymnasium.registry:
-        gymnasium.register(
-            id=AUV_DROPOUT,
-            entry_point="navgym.envs.auv:AUVDropoutEnv",
-            vector_entry_point="navgym.envs.auv:AUVDropoutVectorEnv",
-        )
+    for name, where in ENVIRONMENTS.items():
+        if name not in gymnasium.registry:
+            gymnasium.register(
+                id=name, entry_point=f"{where}Env", vector_entry_point=f"{where}VectorEnv"
+            )

@@ -94,8 +94,10 @@ class Shelf:
         self.models[i], self.stations[i] = made.models[0], made.stations[0]
         self.labels[i] = made.labels[0]
         for name, array in made.extra.items():
-            row = self.extra[name][i]
-            row[: len(array[0])] = array[0]
+            if array.ndim == 1:
+                self.extra[name][i] = array[0]
+            else:
+                self.extra[name][i, : array.shape[1]] = array[0]
 
 
 class LaneEngine:

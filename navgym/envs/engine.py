@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from navgym._checks import Array
 from navgym.batch import Batch
 from navgym.envs import kernels as K
+from navgym.envs.actions import LIMIT
 from navgym.envs.base import LaneEngine, LaneSettings, Shelf
 from navgym.filters import kalman, qivbf, spaces
 from navgym.models import LinearModel
@@ -46,7 +47,7 @@ class Engine(LaneEngine):
     INFO_NAMES: ClassVar[tuple[str, ...]] = (
         "rmse", "reference_rmse", "nis", "lost", "regime", "reward_term",
     )  # fmt: skip
-    LIMIT: ClassVar[float] = K.LIMIT
+    LIMIT: ClassVar[float] = LIMIT
 
     def _begin(self) -> None:
         given = self.settings.recordings

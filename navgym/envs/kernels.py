@@ -14,15 +14,14 @@ from typing import Any
 import numpy as np
 
 from navgym._compile import inline, kernel, part
+from navgym.envs.actions import bounded, log_square, place, set_parameters
 from navgym.filters import kalman, qivbf
 from navgym.filters.lane import NUMERICAL, quadratic
 
 DECAYS = np.array([0.5, 0.8, 0.95])
 SIGNALS = 5  # per stream: NIS, alarm, correlation, power of positions, power of velocities
 STREAM = SIGNALS * len(DECAYS)
-FLOOR = 0.05  # keeps logarithms of squares finite
 ALARM = 5.0  # NIS per received component that counts as an alarm (20 for four components)
-LIMIT = 5.0  # observations are clipped to plus or minus this
 COMMON = 2 * len(DECAYS) + 5  # observations that belong to neither stream
 
 LOST_TRACK = 1e12  # squared error, m², of a reference filter that failed numerically
@@ -85,18 +84,6 @@ def take(lane, sample):
         lane.use[j] = 1 - sample.lost[j]
         count += lane.use[j]
     return count
-
-
-@part
-def bounded(value):
-    """`value` inside plus or minus `LIMIT`; what is not a number counts as the worst."""
-    return max(value, -LIMIT) if value < LIMIT else LIMIT
-
-
-@part
-def log_square(value):
-    """Half the logarithm of a mean square, floored: 0 where it is 1."""
-    return bounded(0.5 * math.log(value + FLOOR))
 
 
 @part
@@ -211,25 +198,6 @@ def prepare(tapes, models, lengths, frozen, references, oracles, stations, scale
 
 
 @part
-def set_parameters(station, action, table):
-    """Turn an action into physical parameters.
-
-    Rows of `table`: column, centre and half width in the warped scale, its ends, scale code,
-    whether whole numbers only, and the physical ends.
-    """
-    for a in range(table.shape[0]):
-        u = table[a, 1] + table[a, 2] * min(max(action[a], -1.0), 1.0)
-        u = min(max(u, table[a, 3]), table[a, 4])
-        if table[a, 5] == 1.0:
-            u = math.exp(u)
-        elif table[a, 5] == 2.0:
-            u = 1.0 - math.exp(-u)
-        if table[a, 6] == 1.0:
-            u = math.floor(u + 0.5)
-        station.row[int(table[a, 0])] = min(max(u, table[a, 7]), table[a, 8])
-
-
-@part
 def count_loss(station, received, m):
     """Keep track of what was lost and for how long."""
     for d in range(DECAYS.shape[0]):
@@ -261,17 +229,6 @@ def note(station, lane, model):
             wide += lane.P_adapted[i] / lane.P_predicted[i, i]
         station.widening = log_square(wide / lane.x.shape[0])
         station.change = bounded(0.1 * math.log(lane.change + 1e-20) + 2.0)
-
-
-@part
-def place(station, table, a):
-    """Where the parameter of action a stands in its range, -1 to 1."""
-    v = station.row[int(table[a, 0])]
-    if table[a, 5] == 1.0:
-        v = math.log(v)
-    elif table[a, 5] == 2.0:
-        v = -math.log(1.0 - v)
-    return 2.0 * (v - table[a, 3]) / (table[a, 4] - table[a, 3]) - 1.0
 
 
 @part

@@ -25,7 +25,7 @@ class Painter:
 
     def __init__(self, mode: str) -> None:
         self._mode = mode
-        self._figure, self._canvas = _new_figure(mode)
+        self._figure, self._canvas = new_figure(mode)
 
     def paint(self, engine: Engine, rows: Sequence[Sequence[float]]) -> NDArray[np.uint8] | None:
         """Draw lane 0 of `engine` and the parameters `rows` of its decisions so far.
@@ -148,7 +148,8 @@ def _ellipse(axes: Any, engine: Engine, plane: tuple[int, int]) -> None:
     axes.add_patch(patch)
 
 
-def _new_figure(mode: str) -> tuple[Any, Any]:
+def new_figure(mode: str) -> tuple[Any, Any]:
+    """A figure and its canvas, off screen or in a window; RuntimeError without matplotlib."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
