@@ -2,7 +2,9 @@
 
 Names load on first use, so `import navgym` stays quick: `simulate`, `scenarios`, `seeds`, `read`,
 `estimate`, `filters`, `parameter_space`, and the data classes `Recording`, `LinearModel`,
-`CoordinatedTurnModel`, `Estimate`, `Parameter`, `ParameterSpace`. Importing the package registers its environments.
+`CoordinatedTurnModel`, `Estimate`, `Parameter`, `ParameterSpace`; for two IMUs on a deck
+`DualIMURecording`, `DeckModel`, `FlexureModel`, `DeckEstimate`, `flexure_increments`, `identify`.
+Importing the package registers its environments.
 """
 
 from __future__ import annotations
@@ -16,12 +18,18 @@ __version__ = "0.1.0"
 
 _HOME = {
     "CoordinatedTurnModel": "navgym.turn_model",
+    "DeckEstimate": "navgym.deck_estimation",
+    "DeckModel": "navgym.deck_model",
+    "DualIMURecording": "navgym.dual_imu",
     "Estimate": "navgym.estimation",
+    "FlexureModel": "navgym.flexure",
     "LinearModel": "navgym.models",
     "Parameter": "navgym.parameters",
     "ParameterSpace": "navgym.parameters",
     "Recording": "navgym.recording",
     "estimate": "navgym.estimation",
+    "flexure_increments": "navgym.increments",
+    "identify": "navgym.identification",
     "parameter_space": "navgym.estimation",
     "read": "navgym.readers",
     "seeds": "navgym.scenarios.seeds",
@@ -32,7 +40,11 @@ _PACKAGES = ("filters", "scenarios")  # callable: see navgym._callable
 
 __all__ = [
     "CoordinatedTurnModel",
+    "DeckEstimate",
+    "DeckModel",
+    "DualIMURecording",
     "Estimate",
+    "FlexureModel",
     "LinearModel",
     "Parameter",
     "ParameterSpace",
@@ -40,6 +52,8 @@ __all__ = [
     "__version__",
     "estimate",
     "filters",
+    "flexure_increments",
+    "identify",
     "parameter_space",
     "read",
     "scenarios",
@@ -48,7 +62,13 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
+    from navgym.deck_estimation import DeckEstimate
+    from navgym.deck_model import DeckModel
+    from navgym.dual_imu import DualIMURecording
     from navgym.estimation import Estimate, estimate, filters, parameter_space
+    from navgym.flexure import FlexureModel
+    from navgym.identification import identify
+    from navgym.increments import flexure_increments
     from navgym.models import LinearModel
     from navgym.parameters import Parameter, ParameterSpace
     from navgym.readers import read

@@ -110,17 +110,7 @@ def read_table(path: str | os.PathLike[str], delimiter: str = ",") -> Table:
             row with too few or too many cells; the message names the line.
     """
     source = Path(path)
-    if not isinstance(delimiter, str) or len(delimiter) != 1:
-        raise ValueError(f"delimiter must be one character such as ',' or ';', got {delimiter!r}.")
-    reader = csv.reader(io.StringIO(_text(source), newline=""), delimiter=delimiter, strict=True)
-    rows, lines = [], []
-    try:
-        for row in reader:
-            if any(cell.strip() for cell in row):
-                rows.append([cell.strip() for cell in row])
-                lines.append(reader.line_num)
-    except csv.Error as error:
-        raise ValueError(f"{source.name}, line {reader.line_num}: {error}.") from None
+    rows, lines = read_rows(source, delimiter)
     if not rows:
         raise ValueError(f"{source.name} is empty: it needs a header line and a row per sample.")
     header = _header(source, rows[0])
@@ -133,6 +123,22 @@ def read_table(path: str | os.PathLike[str], delimiter: str = ",") -> Table:
     if len(rows) == 1:
         raise ValueError(f"{source.name} has a header line but no rows: it needs one per sample.")
     return Table(source, dict(zip(header, zip(*rows[1:], strict=True), strict=True)), lines[1:])
+
+
+def read_rows(source: Path, delimiter: str) -> tuple[list[list[str]], list[int]]:
+    """Stripped cells of each line that is not blank, and the lines' numbers; raises as `read_table`."""
+    if not isinstance(delimiter, str) or len(delimiter) != 1:
+        raise ValueError(f"delimiter must be one character such as ',' or ';', got {delimiter!r}.")
+    reader = csv.reader(io.StringIO(_text(source), newline=""), delimiter=delimiter, strict=True)
+    rows, lines = [], []
+    try:
+        for row in reader:
+            if any(cell.strip() for cell in row):
+                rows.append([cell.strip() for cell in row])
+                lines.append(reader.line_num)
+    except csv.Error as error:
+        raise ValueError(f"{source.name}, line {reader.line_num}: {error}.") from None
+    return rows, lines
 
 
 def write_table(path: str | os.PathLike[str], columns: Mapping[str, Iterable[object]]) -> Path:

@@ -97,7 +97,8 @@ def run_deck(
             f"filter {filter_name!r} needs the true flexure and noises, which only simulated "
             "recordings carry: use alignment or idam."
         )
-    interval = decision_interval or max(1, round(DECISION_SECONDS / batch.step))
+    usual = max(1, round(DECISION_SECONDS / batch.step))
+    interval = usual if decision_interval is None else decision_interval
     positive_int("decision_interval", interval)
     steps = batch.tapes.shape[1]
     table = parameter_table(chosen.space, parameters, len(batch), steps, interval)

@@ -79,9 +79,16 @@ class DeckModel(Frozen):
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> DeckModel:
-        """The inverse of `arrays`."""
-        values = {k: v if v.ndim else v.item() for k, v in arrays.items() if "." not in k}
-        flexure = {k.removeprefix("flexure."): v for k, v in arrays.items() if "." in k}
+        """The inverse of `arrays`; ValueError where one is missing (defaults would hide it)."""
+        missing = sorted(set(cls().arrays()) - set(arrays))
+        if missing:
+            raise ValueError(f"the model lacks {', '.join(missing)}")
+        values: dict[str, Any] = {
+            k: v if v.ndim else v.item() for k, v in arrays.items() if "." not in k
+        }
+        flexure: dict[str, Any] = {
+            k.removeprefix("flexure."): v for k, v in arrays.items() if "." in k
+        }
         return cls(flexure=FlexureModel(**flexure), **values)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from navgym import _storage
@@ -198,9 +198,12 @@ class DualIMURecording(Frozen):
         return moved
 
     @property
-    def gaps(self) -> Array:
+    def gaps(self) -> NDArray[np.bool_]:
         """(T,) bool: samples of which some part was not received."""
-        return np.isnan(np.concatenate([getattr(self, n) for n in _IMU], axis=1)).any(axis=1)
+        lost: NDArray[np.bool_] = np.isnan(
+            np.concatenate([getattr(self, n) for n in _IMU], axis=1)
+        ).any(axis=1)
+        return lost
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the recording as npz, atomically and without pickle; returns the path."""
@@ -268,13 +271,15 @@ def resample(
     v, at = v[order][first], real_array("grid", grid)
     if len(t) < 2:
         raise ValueError(f"time must hold at least two different times, got {t}.")
-    gap = 3.0 * float(np.median(np.diff(t))) if longest_gap is None else longest_gap
+    usual = float(np.median(np.diff(t)))
+    gap = 3.0 * usual if longest_gap is None else longest_gap
     within("longest_gap", gap, 0.0, above=True)
     after = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
-    met = (at == t[after]) | (at == t[after - 1])  # a sample's own time lies in no gap
-    wide = (t[after] - t[after - 1] > gap) & ~met | (at < t[0]) | (at > t[-1])
+    close = 1e-6 * usual  # rounding of times: what was sampled then lies in no gap
+    met = np.minimum(np.abs(at - t[after]), np.abs(at - t[after - 1])) <= close
+    wide = (t[after] - t[after - 1] > gap) | (at < t[0]) | (at > t[-1])
     found = np.stack([np.interp(at, t, column) for column in v.T], axis=-1)
-    found[wide] = np.nan
+    found[wide & ~met] = np.nan
     return found
 
 
@@ -311,14 +316,15 @@ def _desaturate(name: str, value: Array, limit: float | None) -> None:
     if limit is not None:
         value[np.abs(value) >= within(f"limit of {name}", limit, 0.0, above=True)] = np.nan
         return
+    moved = (np.diff(value, axis=0) != 0.0).any(axis=1)  # else the whole sample is a held one
     for axis in range(3):
         column = value[:, axis]
-        if np.isnan(column).all():
-            continue
+        if len(np.unique(np.abs(column[~np.isnan(column)]))) < 8:
+            continue  # lost, constant, or a few quantisation steps at rest
         top = np.nanmax(np.abs(column))
         flat = np.abs(column) == top
-        runs = flat[2:] & flat[1:-1] & flat[:-2]
-        if top > 0.0 and runs.any() and np.nanstd(column) > 0.0 and flat.mean() < 0.5:
+        runs = flat[2:] & flat[1:-1] & flat[:-2] & moved[1:] & moved[:-1]
+        if runs.any():
             warnings.warn(
                 f"{name} looks saturated: axis {axis} stays at its extreme, {top:.6g}, for three or "
                 f"more samples around sample {int(np.argmax(runs))}. Pass the sensor's limit (gyro_limit=, "
@@ -348,19 +354,32 @@ def _check_units(time: Array, arrays: Mapping[str, Array]) -> None:
 
 
 def _check_rate_units(imu: str, rate: Array, force: Array, h: float) -> None:
-    """Rates in wrong units turn gravity about in inertial space; right ones leave it in place."""
+    """Rates in wrong units turn gravity about in inertial space; right ones leave it in place.
+
+    Too large ones scatter it; too small ones leave the sway in it, which right ones take out.
+    """
     here = steadiness(rate, force, h)
-    degree = np.pi / 180.0
-    for factor, unit, remedy in (
-        (degree, "°/s", "numpy.radians"),
-        (degree / 3600.0, "°/h", "numpy.radians(...) / 3600"),
-    ):
-        if here < 0.8 and steadiness(rate * factor, force, h) > max(0.95, here + 0.2):
+    for factor, remedy in _UNITS:
+        there = steadiness(rate * factor, force, h)
+        scattered = factor < 1.0 and here < 0.8 and there > max(0.95, here + 0.2)
+        swaying = factor > 1.0 and 1.0 - here > max(1e-4, 3.0 * (1.0 - there))
+        if scattered or swaying:
             raise ValueError(
-                f"{imu}_angle: turning the specific forces by these rates leaves {here:.0%} of gravity "
-                f"standing, and nearly all of it if they are in {unit}: convert them with {remedy} "
-                "(or pass check_units=False)."
+                f"{imu}_angle: turning the specific forces by these rates leaves {here:.4%} of "
+                f"gravity standing, and {there:.4%} if they are {remedy} (or pass "
+                "check_units=False)."
             )
+
+
+_DEGREE = float(np.pi / 180.0)
+_UNITS = (  # the mildest remedy that works is the right one: no rates at all do nearly as well
+    (_DEGREE, "in °/s: convert them with numpy.radians"),
+    (1.0 / 3600.0, "in °/h but taken for °/s: divide them by 3600"),
+    (_DEGREE / 3600.0, "in °/h: convert them with numpy.radians(...) / 3600"),
+    (1.0 / _DEGREE, "in rad/s but taken for °/s: multiply them by 180/π"),
+    (3600.0, "in °/s but taken for °/h: multiply them by 3600"),
+    (3600.0 / _DEGREE, "in rad/s but taken for °/h: multiply them by 3600 · 180/π"),
+)
 
 
 def steadiness(rate: Array, force: Array, interval: float, seconds: float = 20.0) -> float:

@@ -96,13 +96,12 @@ class FlexureModel(Frozen):
     def transition(self, dt: float) -> Array:
         """(3, 2, 2) exact transition of (θ, θ̇) over `dt` s (replaces IDAM eq. 80)."""
         mu = self.damping / 2.0
-        c, s = _oscillation(self.frequency_squared, dt)
-        decay = np.exp(-mu * dt)
+        c, s = _decaying(mu, self.stiffness, dt)
         phi = np.empty((3, 2, 2))
-        phi[:, 0, 0] = decay * (c + mu * s)
-        phi[:, 0, 1] = decay * s
-        phi[:, 1, 0] = -decay * self.stiffness * s
-        phi[:, 1, 1] = decay * (c - mu * s)
+        phi[:, 0, 0] = c + mu * s
+        phi[:, 0, 1] = s
+        phi[:, 1, 0] = -self.stiffness * s
+        phi[:, 1, 1] = c - mu * s
         return phi
 
     def stationary(self) -> Array:
@@ -114,24 +113,30 @@ class FlexureModel(Frozen):
     def process_noise(self, dt: float) -> Array:
         """(3, 2, 2) exact covariance of what `dt` s add to (θ, θ̇).
 
-        P∞ − Φ P∞ Φᵀ in a form without cancellation for short steps: the integral of
-        q [s; ṡ][s; ṡ]ᵀ by Gauss-Legendre quadrature, which is exact to rounding for steps that
-        resolve the process.
+        P∞ − Φ P∞ Φᵀ, for short steps in a form without cancellation: the integral of
+        q [s; ṡ][s; ṡ]ᵀ by Gauss-Legendre quadrature, exact to rounding where a step resolves the
+        process.
         """
         nodes, weights = np.polynomial.legendre.leggauss(12)
         Q = np.zeros((3, 2, 2))
         for x, w in zip(nodes, weights, strict=True):
             g = self.transition(dt * (x + 1.0) / 2.0)[:, :, 1]
             Q += w * dt / 2.0 * g[:, :, None] * g[:, None, :]
-        result: Array = Q * self.noise_density[:, None, None]
+        F, P = self.transition(dt), self.stationary()
+        long = np.maximum(self.damping, np.sqrt(self.stiffness)) * dt > 1.0
+        result: Array = np.where(
+            long[:, None, None],
+            P - F @ P @ np.swapaxes(F, 1, 2),
+            Q * self.noise_density[:, None, None],
+        )
         return result
 
     def autocorrelation(self, lag: ArrayLike) -> Array:
         """(..., 3) R_θ(|lag|), rad² (IDAM eq. 17, corrected: R(0) = σ²)."""
         t = np.abs(real_array("lag", lag))[..., None]
-        c, s = _oscillation(self.frequency_squared, t)
         mu = self.damping / 2.0
-        value: Array = self.sigma**2 * np.exp(-mu * t) * (c + mu * s)
+        c, s = _decaying(mu, self.stiffness, t)
+        value: Array = self.sigma**2 * (c + mu * s)
         return value
 
     def increment_autocorrelation(self, lag: ArrayLike, t0: float) -> Array:
@@ -152,12 +157,19 @@ class FlexureModel(Frozen):
         return value
 
 
-def _oscillation(frequency_squared: Array, t: Any) -> tuple[Array, Array]:
-    """cos(λt) and sin(λt)/λ, continued analytically to λ² ≤ 0."""
+def _decaying(mu: Array, stiffness: Array, t: Any) -> tuple[Array, Array]:
+    """e^−μt cos(λt) and e^−μt sin(λt)/λ, continued analytically to λ² ≤ 0.
+
+    An overdamped axis is the difference of two decays, of which the slow one, at b²/(μ + |λ|),
+    outlives e^−μt by far.
+    """
+    frequency_squared = stiffness - mu**2
     root = np.sqrt(np.abs(frequency_squared))
-    x = root * t
+    x, decay = root * t, np.exp(-mu * t)
     safe = np.where(root > 0.0, root, 1.0)
+    slow, fast = np.exp(-stiffness / (mu + root) * t), np.exp(-(mu + root) * t)
     waves = frequency_squared > 0.0
-    c = np.where(waves, np.cos(x), np.cosh(np.minimum(x, 700.0)))
-    s = np.where(waves, np.sin(x), np.sinh(np.minimum(x, 700.0))) / safe
-    return c, np.where(x > 1e-6, s, t * (1.0 - np.sign(frequency_squared) * x**2 / 6.0))
+    c = np.where(waves, decay * np.cos(x), (slow + fast) / 2.0)
+    s = np.where(waves, decay * np.sin(x) / safe, (slow - fast) / 2.0 / safe)
+    near = decay * t * (1.0 - np.sign(frequency_squared) * x**2 / 6.0)
+    return c, np.where(x > 1e-4, s, near)

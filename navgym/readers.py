@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -27,8 +27,19 @@ from navgym.scenarios import Loss, split_of
 from navgym.simulation.auv import draw_losses
 
 FORMATS: Mapping[str, str] = MappingProxyType(
-    {"akit": "navgym.readers:read_akit", "csv": "navgym.csv_log:read_csv"}
+    {
+        "akit": "navgym.readers:read_akit",
+        "csv": "navgym.csv_log:read_csv",
+        "deck_csv": "navgym.deck_log:read_deck_csv",
+        "multi_imu": "navgym.dual_readers:read_multi_imu",
+        "repoimu": "navgym.dual_readers:read_repoimu",
+    }
 )
+
+if TYPE_CHECKING:
+    from navgym.dual_imu import DualIMURecording
+
+    _Name = str | os.PathLike[str]
 
 STREAM = 0xA1  # first word of an A-KIT recording's seed sequence; the AUV simulator's is 0xA0
 
@@ -37,11 +48,33 @@ EQUATORIAL_RADIUS = 6378137.0
 ECCENTRICITY_SQUARED = 6.69437999014e-3
 
 
-def read(format_name: str, path: str | os.PathLike[str], **options: Any) -> Recording:
+@overload
+def read(format_name: Literal["akit", "csv"], path: _Name, /, **options: Any) -> Recording: ...
+@overload
+def read(
+    format_name: Literal["deck_csv", "repoimu", "multi_imu"], path: _Name, /, **options: Any
+) -> DualIMURecording: ...
+@overload
+def read(format_name: str, path: _Name, /, **options: Any) -> Recording | DualIMURecording: ...
+def read(
+    format_name: str, path: str | os.PathLike[str], /, **options: Any
+) -> Recording | DualIMURecording:
     """Read a real log.
 
+    ===========  ===================================  =====================================
+    format       holds                                options: see
+    ===========  ===================================  =====================================
+    "csv"        your own log of positions            `navgym.csv_log.read_csv`
+    "akit"       A-KIT: an AUV, six tracks            `navgym.readers.read_akit`
+    "deck_csv"   your own log of two IMUs on a deck   `navgym.deck_log.read_deck_csv`
+    "repoimu"    RepoIMU: a pendulum's segments       `navgym.dual_readers.read_repoimu`
+    "multi_imu"  two IMUs on a quadrotor              `navgym.dual_readers.read_multi_imu`
+    ===========  ===================================  =====================================
+
+    The first two give a `navgym.Recording`, the others a `navgym.dual_imu.DualIMURecording`.
+
     Args:
-        format_name: "akit" (see `read_akit`) or "csv" (see `navgym.csv_log.read_csv`).
+        format_name: which.
         path: the file, or the folder of a public data set.
         options: keyword arguments of that function.
 
@@ -50,7 +83,9 @@ def read(format_name: str, path: str | os.PathLike[str], **options: Any) -> Reco
         ValueError: an unknown format or option, or a file that is not in this format.
     """
     module, name = FORMATS[one_of("format", format_name, FORMATS)].split(":")
-    reader: Callable[..., Recording] = getattr(importlib.import_module(module), name)
+    reader: Callable[..., Recording | DualIMURecording] = getattr(
+        importlib.import_module(module), name
+    )
     known = list(inspect.signature(reader).parameters)[1:]
     for option in options:
         one_of(f"option of format {format_name!r}:", option, known)

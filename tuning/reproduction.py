@@ -409,7 +409,9 @@ def tracks(size: Size, folder: Path) -> Part:
 # ---- the page
 
 
-def page(parts: list[Part], provenance: Mapping[str, Any]) -> Page:
+def page(
+    parts: list[Part], provenance: Mapping[str, Any], title: str = "The AUV figures, reproduced"
+) -> Page:
     """The report."""
     checks = [c for part in parts for c in part.checks]
     outside = [c for c in checks if not c.holds]
@@ -425,7 +427,7 @@ def page(parts: list[Part], provenance: Mapping[str, Any]) -> Page:
         Tile(str(n), v, "best" if v == "within" else "own" if v == "outside" else "")
         for v, n in counts.items()
     ]
-    return Page("The AUV figures, reproduced", lede, [p.section for p in parts], tiles, provenance)
+    return Page(title, lede, [p.section for p in parts], tiles, provenance)
 
 
 def _outside(c: Check) -> str:

@@ -33,9 +33,9 @@ L, DV, PHI, EPS, NABLA, VR, THETA, RATE = range(0, 24, 3)  # first state of each
 # columns of the kernel's parameter row
 WIDTH, VELOCITY, WEIGHT, PROCESS = range(4)
 COLUMNS = ("kernel_width", "velocity_noise", "model_error_weight", "process_noise_scale")
-WIDTH_OFF = 50.0  # a kernel of this width or more is a Kalman filter
-WEIGHT_OFF = 1e6  # a model error that costs this much or more stays zero
-OFF = np.array([WIDTH_OFF, 0.2, WEIGHT_OFF, 1.0])  # where a filter does not expose a column
+WIDTH_OFF = 50.0 - 1e-9  # a kernel of this width or more is a Kalman filter; 50, to rounding
+WEIGHT_OFF = 1e6 - 1e-3  # a model error that costs this much or more stays zero; 1e6, to rounding
+OFF = np.array([50.0, 0.2, 1e6, 1.0])  # where a filter does not expose a column
 
 FLOOR = 1e-12  # of a weight: R/C stays finite
 NUMERICAL, RUNAWAY = 2, 1  # `diverged`

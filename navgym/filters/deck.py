@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -147,37 +148,59 @@ def _run_identifying(
         for i in np.flatnonzero(ends < batch.lengths):
             row = min(int(ends[i]) // world[3], table.shape[1] - 1)
             options = dict(zip(chosen.space.names, table[min(i, len(table) - 1), row], strict=True))
-            found = identify_lane(chosen.option, batch, int(i), lanes[i], int(every[i]), options)
+            believed = batch.recordings[i].model.flexure
+            found = identify_lane(
+                chosen.option,
+                batch.tapes[i],
+                batch.step,
+                believed,
+                lanes[i],
+                int(every[i]),
+                options,
+            )
             if found is not None:
                 flexures[i].append(Identified(int(ends[i]), found))
                 put_flexure(chosen.option, batch, int(i), models, found)
 
 
 def identify_lane(
-    option: Deck, batch: DeckBatch, i: int, lane: Any, window: int, options: dict[str, float]
+    option: Deck,
+    tape: NDArray[Any],
+    dt: float,
+    believed: FlexureModel,
+    lane: Any,
+    window: int,
+    options: Mapping[str, float],
 ) -> FlexureModel | None:
-    """The flexure over the lane's last `window` steps, shrunk toward the believed one.
+    """The flexure over a lane's last `window` steps, shrunk toward the believed one.
 
-    None where the increments allow no identification (too many gaps, no motion, a failed lane).
+    Args:
+        option: how the filter identifies.
+        tape: (K,) of the lane's recording.
+        dt: s per filter step.
+        believed: the model to shrink toward.
+        lane: the filter, after `lane["k"]` steps.
+        window: steps to identify from.
+        options: parameters by name, of which `rvm_kernel_scale` is used.
+
+    Returns:
+        The model, or None where the increments allow no identification (too many gaps, no motion,
+        a failed lane).
     """
     from navgym.identification import identify, shrink
 
-    end = int(lane["k"])
-    tape = batch.tapes[i, max(0, end - window) : end]
-    l = lane["x"][:3]  # noqa: E741
+    end, l = int(lane["k"]), lane["x"][:3].copy()  # noqa: E741
     if not np.isfinite(l).all():
         return None
     frame = "body" if option.printed else "inertial"
-    increments = increments_of(tape, rodrigues(l.copy()), frame)
+    increments = increments_of(tape[max(0, end - window) : end], rodrigues(l), frame)
     own = {"kernel_scale": options["rvm_kernel_scale"]} if option.method == "rvm" else {}
     assert option.method is not None
     try:
-        found = identify(option.method, increments, batch.step, **own)
+        found = identify(option.method, increments, dt, **own)
     except ValueError:
         return None
-    if option.printed:
-        return found
-    return shrink(found, batch.recordings[i].model.flexure, PRIOR_SPREAD)
+    return found if option.printed else shrink(found, believed, PRIOR_SPREAD)
 
 
 def put_flexure(

@@ -115,7 +115,7 @@ RVM_KERNEL_SCALE = Parameter(
     equation="of the relevance vector machine's Gaussian kernel over lags (IDAM eq. 25)",
 )  # fmt: skip
 IDENTIFICATION_WINDOW = Parameter(
-    "identification_window", "W", "s", 30.0, 600.0, "log", 120.0, at_start=True,
+    "identification_window", "W", "s", 60.0, 600.0, "log", 120.0, at_start=True,
     equation="length of the records that the flexure is identified from (IDAM 3.2)",
 )  # fmt: skip
 

@@ -227,6 +227,9 @@ GYRO_GLITCH = DeckRegime("glitch", glitch_rate=0.1, glitch_velocity=0.0)
 HEAVY_SEA = DeckRegime("heavy sea", tau=(6.0, 6.0, 12.0), sigma=(12.0, 12.0, 20.0), oscillation=1.5)
 
 REGIMES = (CALM, SWELL, SLAM, GLITCH)
+# what a navigator believes who knows the ship's size and no more: so that an identification which
+# leans on the believed model has no truth to lean on
+GUESS = DeckRegime("guess", tau=(15.0, 15.0, 15.0), sigma=(8.0, 8.0, 8.0))
 
 # best fixed parameters in each scenario: see docs/scenarios.md
 _BEST_FIXED: Mapping[str, Mapping[str, Any]] = MappingProxyType({})

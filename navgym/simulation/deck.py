@@ -1,6 +1,6 @@
 """Deck recordings: ship motion, flexure, and what two IMUs make of them.
 
-Each recording draws from generators of its own for flexure, main IMU, sub IMU, disturbances and
+Each recording draws from generators of its own for flexure, each IMU, slams, glitches, outliers and
 regimes, so that a change of one leaves the others' numbers as they were. numpy draws, recursions
 are compiled.
 
@@ -40,20 +40,22 @@ def simulate(scenario: DeckScenario, seeds: Sequence[int]) -> list[DualIMURecord
 
 def _one(scenario: DeckScenario, seed: int) -> DualIMURecording:
     split_of(seed)
-    streams = np.random.SeedSequence([STREAM, seed]).spawn(5)
-    flexing, main, sub, disturbing, order = (np.random.default_rng(s) for s in streams)
+    streams = np.random.SeedSequence([STREAM, seed]).spawn(7)
+    flexing, main, sub, slams, glitches, outliers, order = (
+        np.random.default_rng(s) for s in streams
+    )
     T, s = scenario.samples, scenario.samples_per_step
     dwell = [max(1, round(d * scenario.rate / s)) for d in scenario.dwell]
     steps = sequence(len(scenario.regimes), (dwell[0], dwell[1]), T // s, order)
     regime = np.repeat(steps, s)
-    jumps, impulse_variance = _slams(scenario, regime, disturbing)
+    jumps, impulse_variance = _slams(scenario, regime, slams)
     theta, rate = _flexure(scenario, regime, jumps, flexing)
     motion = np.empty((4, T, 3))
     _move(scenario, theta, rate, motion)
     _err(motion[0], motion[1], scenario.main, scenario.rate, main)
     _err(motion[2], motion[3], scenario.sub, scenario.rate, sub)
-    motion[2] += _outliers(scenario, regime, disturbing)
-    disturbance, variance = _glitches(scenario, steps, disturbing)
+    motion[2] += _outliers(scenario, regime, outliers)
+    disturbance, variance = _glitches(scenario, steps, glitches)
     lever = np.array(scenario.lever_arm) + scenario.lever_error * order.standard_normal(3)
     believed = scenario.model
     meta = {"scenario": f"deck/{scenario.name}", "regimes": [r.name for r in scenario.regimes]}
@@ -84,10 +86,14 @@ def _slams(
     scenario: DeckScenario, regime: NDArray[np.int64], rng: np.random.Generator
 ) -> tuple[Array, Array]:
     """Jumps of θ̇ at each IMU sample (T, 3), rad/s, and the variance that they were drawn with."""
-    rate = np.array([r.slam_rate for r in scenario.regimes])[regime] / scenario.rate
-    sizes = np.array([r.slam_size * r.flexure.rate_sigma for r in scenario.regimes])[regime]
-    deviation = np.where(rng.random(len(regime))[:, None] < rate[:, None], sizes, 0.0)
-    return deviation * rng.standard_normal((len(regime), 3)), deviation**2
+    rate = np.array([r.slam_rate for r in scenario.regimes])
+    deviation = np.zeros((len(regime), 3))
+    hit = np.flatnonzero(rng.random(len(regime)) < rate[regime] / scenario.rate)
+    sizes = np.array([r.slam_size * r.flexure.rate_sigma for r in scenario.regimes])
+    deviation[hit] = sizes[regime[hit]]
+    jumps = deviation.copy()
+    jumps[hit] *= rng.standard_normal((len(hit), 3))
+    return jumps, deviation**2
 
 
 def _flexure(
@@ -136,17 +142,26 @@ def _move(scenario: DeckScenario, theta: Array, rate: Array, out: Array) -> None
 
 
 @part
-def attend(ship, t, omega, force):
-    """Write the main IMU's inertial rate and specific force at `t`, in its own axes.
+def swing_on(phase, half):
+    """Turn the sway's phases (3, 2), cosine and sine, on by half a sample."""
+    for i in range(3):
+        c, s = phase[i, 0], phase[i, 1]
+        phase[i, 0] = c * half[i, 0] - s * half[i, 1]
+        phase[i, 1] = s * half[i, 0] + c * half[i, 1]
+
+
+@part
+def attend(ship, phase, omega, force):
+    """Write the main IMU's inertial rate and specific force, in its own axes.
 
     Local frame north-east-down, body axes forward-starboard-down; pitch, roll and heading sway
     (IDAM eq. 79, corrected) while the ship keeps its speed over ground along the mean heading.
     """
-    pitch, roll = ship[0] * math.sin(ship[3] * t), ship[1] * math.sin(ship[4] * t)
-    heading = ship[6] + ship[2] * math.sin(ship[5] * t)
-    pitch_rate = ship[0] * ship[3] * math.cos(ship[3] * t)
-    roll_rate = ship[1] * ship[4] * math.cos(ship[4] * t)
-    heading_rate = ship[2] * ship[5] * math.cos(ship[5] * t)
+    pitch, roll = ship[0] * phase[0, 1], ship[1] * phase[1, 1]
+    heading = ship[6] + ship[2] * phase[2, 1]
+    pitch_rate = ship[0] * ship[3] * phase[0, 0]
+    roll_rate = ship[1] * ship[4] * phase[1, 0]
+    heading_rate = ship[2] * ship[5] * phase[2, 0]
     st, ct, sr, cr = math.sin(pitch), math.cos(pitch), math.sin(roll), math.cos(roll)
     sh, ch = math.sin(heading), math.cos(heading)
     north, east = ship[8] * math.cos(ship[6]), ship[8] * math.sin(ship[6])
@@ -204,12 +219,17 @@ def sail(ship, lever, static, h, theta, rate, out):
     before, middle, after = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3))
     u0, u1, mean = np.empty(3), np.empty(3), np.empty(3)
     turned, moved, bent = np.empty(3), np.empty(3), np.empty(3)
-    attend(ship, 0.0, before[0], before[1])
+    phase, half = np.zeros((3, 2)), np.zeros((3, 2))
+    for i in range(3):
+        phase[i, 0] = 1.0
+        half[i, 0], half[i, 1] = math.cos(0.5 * h * ship[3 + i]), math.sin(0.5 * h * ship[3 + i])
+    attend(ship, phase, before[0], before[1])
     swing(before[0], theta[0], rate[0], lever, u0)
     for k in range(out.shape[1]):
-        t = k * h
-        attend(ship, t + 0.5 * h, middle[0], middle[1])
-        attend(ship, t + h, after[0], after[1])
+        swing_on(phase, half)
+        attend(ship, phase, middle[0], middle[1])
+        swing_on(phase, half)
+        attend(ship, phase, after[0], after[1])
         swing(after[0], theta[k + 1], rate[k + 1], lever, u1)
         a, b = theta[k], theta[k + 1]
         for i in range(3):
@@ -251,9 +271,18 @@ def _err(
         M = np.diag(scale * rng.standard_normal(3))
         x, y, z = tilt * rng.standard_normal(3)
         M += np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        wrong = increments @ M.T + constant * rng.standard_normal(3) * h
-        wrong += noise * math.sqrt(h) * rng.standard_normal(increments.shape)
-        np.add(increments, wrong, out=increments)
+        steady = constant * rng.standard_normal(3) * h
+        spoil(increments, M, steady, noise * math.sqrt(h), rng.standard_normal(increments.shape))
+
+
+@kernel
+def spoil(increments, M, steady, deviation, noise):
+    """Add M x + steady + deviation · noise to increments x (T, 3), in place."""
+    for k in range(len(increments)):
+        x, y, z = increments[k, 0], increments[k, 1], increments[k, 2]
+        for i in range(3):
+            wrong = M[i, 0] * x + M[i, 1] * y + M[i, 2] * z + steady[i]
+            increments[k, i] += wrong + deviation * noise[k, i]
 
 
 def _glitches(

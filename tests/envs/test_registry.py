@@ -118,7 +118,7 @@ class TestEveryEnvironment:
         assert not terminated.any()
         assert not truncated.any()
         assert infos["_seed"].all()
-        assert not infos["_rmse"].any()
+        assert not infos["_reward_term"].any()
 
     def test_the_manual_has_gymnasiums_sections_and_its_examples_run(self, name):
         manual = type(make(name)).__doc__

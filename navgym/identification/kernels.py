@@ -1,0 +1,262 @@
+"""The compiled loop of sparse Bayesian regression: fast marginal likelihood (Tipping & Faul 2003).
+
+Each step adds, re-estimates or deletes the one basis function that raises the evidence most. The
+posterior is then factorised anew: with some tens of relevant functions that is cheap, it takes a
+new noise level in the same pass, and it gathers no rounding as updates of inverses do.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from navgym._compile import kernel, part
+
+LEAST_GAIN = 1e-3  # nats; a function that adds less evidence is not worth a place
+COLLINEAR = 1e-9  # share of a function outside the span of the relevant ones, below which it waits
+ROUNDING = 1e-14  # least pivot, as a share of the diagonal
+SPREAD = 1e-2  # α of the functions that are there from the start, in units of max |y|
+PRUNE = 1e2  # α/β above which a function leaves the first phase
+SETTLED, TOGETHER = 0.3, 40  # |Δ log α| and number of steps that end the first phase
+
+
+@part
+def factorise(m, H, L):
+    """Cholesky factor L of the leading m × m block of H, which is positive but for rounding."""
+    for i in range(m):
+        for j in range(i + 1):
+            total = H[i, j]
+            for k in range(j):
+                total -= L[i, k] * L[j, k]
+            if i == j:
+                L[i, i] = np.sqrt(max(total, ROUNDING * H[i, i]))
+            else:
+                L[i, j] = total / L[j, j]
+
+
+@part
+def invert(m, L, U):
+    """U = L⁻¹ for the leading m × m block of a lower triangle."""
+    for j in range(m):
+        U[j, j] = 1.0 / L[j, j]
+        for i in range(j + 1, m):
+            total = 0.0
+            for k in range(j, i):
+                total -= L[i, k] * U[k, j]
+            U[i, j] = total / L[i, i]
+
+
+@part
+def posterior(m, active, alpha, beta, G, t, H, L, U, w, mean, variance):
+    """Mean and variances of the weights (IDAM eq. 29); leaves Σ⁻¹ = LLᵀ, U = L⁻¹ and w = U Φᵀy."""
+    for i in range(m):
+        for j in range(i + 1):
+            H[i, j] = beta * G[i, active[j]]
+        H[i, i] += alpha[i]
+    factorise(m, H, L)
+    invert(m, L, U)
+    mean[:m] = 0.0
+    variance[:m] = 0.0
+    for k in range(m):
+        w[k] = 0.0
+        for j in range(k + 1):
+            w[k] += U[k, j] * t[active[j]]
+        for i in range(k + 1):
+            mean[i] += beta * U[k, i] * w[k]
+            variance[i] += U[k, i] ** 2
+
+
+@part
+def statistics(m, beta, G, t, L, w, V, S, Q):
+    """S = φᵀC⁻¹φ and Q = φᵀC⁻¹y of every basis function (Tipping & Faul 2003, eq. 24 and 25)."""
+    for n in range(len(t)):
+        S[n] = beta
+        Q[n] = beta * t[n]
+    for i in range(m):
+        for n in range(len(t)):
+            V[i, n] = G[i, n]
+        for j in range(i):
+            factor = L[i, j]
+            for n in range(len(t)):
+                V[i, n] -= factor * V[j, n]
+        for n in range(len(t)):
+            V[i, n] /= L[i, i]
+            S[n] -= (beta * V[i, n]) ** 2
+            Q[n] -= beta**2 * w[i] * V[i, n]
+
+
+@part
+def best_addition(beta, slot, S, Q):
+    """The function outside the model whose entry raises the evidence most: (gain, which)."""
+    gain, best = 0.0, -1
+    for n in range(len(S)):
+        if slot[n] < 0 and S[n] > COLLINEAR * beta and Q[n] ** 2 > S[n]:
+            ratio = Q[n] ** 2 / S[n]
+            g = 0.5 * (ratio - 1.0 - np.log(ratio))
+            if g > gain:
+                gain, best = g, n
+    return gain, best
+
+
+@part
+def best_change(m, alpha, mean, variance):
+    """The relevant function to re-estimate or delete: (gain, its place, new α, largest |Δ log α|).
+
+    s and q, what S and Q are without the function, follow from its own posterior: its precision is
+    1/Σᵢᵢ = αᵢ + s, and its mean q Σᵢᵢ. A new α of infinity deletes it.
+    """
+    gain, best, chosen, largest = -np.inf, -1, 0.0, 0.0
+    for i in range(m):
+        s = 1.0 / variance[i] - alpha[i]
+        q = mean[i] / variance[i]
+        if q * q > s > 0.0:
+            new = s * s / (q * q - s)
+            ratio = new / alpha[i]
+            difference = 1.0 / new - 1.0 / alpha[i]
+            S, Q = alpha[i] * s * variance[i], alpha[i] * mean[i]
+            g = 0.5 * (Q * Q * difference / (difference * S + 1.0) - np.log1p(S * difference))
+            largest = max(largest, abs(np.log(ratio)))
+        else:
+            new = np.inf
+            s = max(s, 0.0)
+            g = 0.5 * (np.log1p(s / alpha[i]) - q * q / (s + alpha[i]))
+            largest = np.inf
+        if g > gain:
+            gain, best, chosen = g, i, new
+    return gain, best, chosen, largest
+
+
+@part
+def log_evidence(m, alpha, beta, L, mean, error):
+    """Log p(y | α, β), given the squared `error` of the posterior mean; y has N components."""
+    N = len(error)
+    total = N * np.log(beta / (2.0 * np.pi))
+    for i in range(m):
+        total += np.log(alpha[i]) - 2.0 * np.log(L[i, i]) - alpha[i] * mean[i] ** 2
+    for k in range(N):
+        total -= beta * error[k] ** 2
+    return 0.5 * total
+
+
+@part
+def residual(m, active, mean, B, y, error):
+    """y less the model's prediction."""
+    error[:] = y
+    for i in range(m):
+        for k in range(len(y)):
+            error[k] -= mean[i] * B[active[i], k]
+
+
+@part
+def drop(place, m, active, alpha, slot, G):
+    """Take one function out of the model, the last one into its place; returns how many are left."""
+    m -= 1
+    slot[active[place]] = -1
+    if place < m:
+        active[place], alpha[place] = active[m], alpha[m]
+        slot[active[m]] = place
+        G[place] = G[m]
+    return m
+
+
+@part
+def noise_precision(m, alpha, variance, error, most):
+    """β of the noise by IDAM eq. 32, with γᵢ = 1 − αᵢΣᵢᵢ."""
+    free = float(len(error) - m)
+    for i in range(m):
+        free += alpha[i] * variance[i]
+    return min(most, max(free, 1e-3) / max(np.sum(error**2), 1e-300))
+
+
+@part
+def project(D, b, product):
+    """Product of every function (a column of D) with b: BLAS would start threads for each."""
+    product[:] = 0.0
+    for k in range(len(b)):
+        for n in range(len(product)):
+            product[n] += b[k] * D[k, n]
+
+
+@kernel
+def fast_marginal_likelihood(B, D, y, first, beta, learn, most, tolerance, limit):
+    """Sparse Bayesian regression of y on basis functions of unit length.
+
+    Adding functions one by one to an empty model often ends in a poor local optimum: with the noise
+    unknown, the first misfit passes for noise. So some functions spread over the basis are in the
+    model from the start, and all their α move together (Tipping 2001, eq. 16-18) until those that
+    are not needed have left. Only then does the greedy search begin.
+
+    Args:
+        B: (M, N) basis functions, one a row, each with Σ B² = 1.
+        D: (N, M) the same, transposed in memory.
+        y: (N,) targets.
+        first: (K,) functions to begin with, at most min(M, N).
+        beta: 1/σ² of the noise, where learning starts.
+        learn: whether to estimate beta.
+        most: largest beta that may be learnt.
+        tolerance: of |Δ log α| and |Δ log β| at the end.
+        limit: of steps.
+
+    Returns:
+        active (m,), alpha (m,), mean (m,), U = L⁻¹ (m, m) with Σ = UᵀU, beta, the log evidence
+        after each step (steps,), and whether it converged.
+    """
+    M, N = B.shape
+    room = min(M, N) + 1
+    active, slot = np.empty(room, np.int64), np.full(M, -1)
+    alpha, mean, variance, w = np.empty(room), np.empty(room), np.empty(room), np.empty(room)
+    H, L, U = np.empty((room, room)), np.empty((room, room)), np.zeros((room, room))
+    G, V = np.empty((room, M)), np.empty((room, M))
+    S, Q, error, trace = np.empty(M), np.empty(M), np.empty(N), np.empty(limit)
+    t = np.empty(M)
+    project(D, y, t)
+    m, steps, converged, together = len(first), 0, False, True
+    for i in range(m):
+        active[i], slot[first[i]] = first[i], i
+        alpha[i] = SPREAD
+        for j in range(i + 1):  # the first phase needs no products with other functions
+            G[i, first[j]] = G[j, first[i]] = np.sum(B[first[i]] * B[first[j]])
+    while True:
+        posterior(m, active, alpha, beta, G, t, H, L, U, w, mean, variance)
+        residual(m, active, mean, B, y, error)
+        if steps > 0:
+            trace[steps - 1] = log_evidence(m, alpha, beta, L, mean, error)
+        if steps == limit or converged:
+            break
+        steps += 1
+        fresh = noise_precision(m, alpha, variance, error, most) if learn else beta
+        change = abs(np.log(fresh / beta))
+        if together:
+            largest = 0.0
+            for i in range(m - 1, -1, -1):
+                gamma = max(1.0 - alpha[i] * variance[i], 1e-12)
+                new = gamma / max(mean[i] ** 2, 1e-300)
+                largest = max(largest, abs(np.log(new / alpha[i])))
+                alpha[i] = new
+                if new > PRUNE * fresh:
+                    m = drop(i, m, active, alpha, slot, G)
+            together = largest > SETTLED and steps < TOGETHER
+            beta = fresh
+            if not together:
+                for i in range(m):
+                    project(D, B[active[i]], G[i])
+            continue
+        statistics(m, beta, G, t, L, w, V, S, Q)
+        gain, which = best_addition(beta, slot, S, Q)
+        other, place, new, largest = best_change(m, alpha, mean, variance)
+        full = m == room - 1
+        if (gain < LEAST_GAIN or full) and largest < tolerance and change < tolerance:
+            converged = True
+        if gain > other and gain >= LEAST_GAIN and not full:
+            active[m], slot[which] = which, m
+            alpha[m] = S[which] ** 2 / (Q[which] ** 2 - S[which])
+            project(D, B[which], G[m])
+            m += 1
+        elif place >= 0 and new < np.inf:
+            alpha[place] = new
+        elif place >= 0:
+            m = drop(place, m, active, alpha, slot, G)
+        beta = fresh
+    return (
+        active[:m].copy(), alpha[:m].copy(), mean[:m].copy(), U[:m, :m].copy(), beta,
+        trace[:steps].copy(), converged,
+    )  # fmt: skip

@@ -1,0 +1,264 @@
+"""Identification: closed forms, sampling limits, invariances, errors."""
+
+import numpy as np
+import pytest
+
+from navgym.flexure import FlexureModel
+from navgym.identification import METHODS, correlate, identify, methods, shape
+from tests.identification.world import PAPER, exact, logarithms, rms_ln_b, simulate
+
+QUICK = ("rvm", "rvm_dictionary", "nls", "tufts_kumaresan", "regression")
+FITS = ("rvm", "rvm_dictionary", "nls", "tufts_kumaresan")
+SEARCH = {"population": 10, "epochs": 15}
+SIGMA = [1e-3, 2e-3, 3e-3]
+WORLDS = {
+    "oscillating": FlexureModel.from_correlation_time([10.0, 6.0, 20.0], SIGMA, 1.5),
+    "nearly critical": FlexureModel.from_correlation_time([10.0, 6.0, 20.0], SIGMA, 0.01),
+    "critical": FlexureModel.from_correlation_time([10.0, 6.0, 20.0], SIGMA),
+    "overdamped": FlexureModel([0.6, 0.6, 0.3], [0.04, 0.06, 0.01], SIGMA),
+}
+
+
+@pytest.fixture(scope="module")
+def records():
+    return simulate(PAPER, 300.0, 0.5, runs=24)
+
+
+def varied(shape):
+    return np.random.default_rng(0).standard_normal(shape)
+
+
+def options(method):
+    """Keywords that make a method quick; skips the test where its library is missing."""
+    if method in {"svr", "whale", "swarm"}:
+        pytest.importorskip("sklearn" if method == "svr" else "mealpy")
+    return SEARCH if method in {"whale", "swarm"} else {}
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_the_closed_form_is_the_second_difference_of_the_autocorrelation(world):
+    model, lags = WORLDS[world], 0.5 * np.arange(1.0, 100.0)
+    places = np.log(
+        np.column_stack((model.damping / 2.0 / np.sqrt(model.stiffness), np.sqrt(model.stiffness)))
+    )
+    ours = model.sigma**2 * shape.increment_autocorrelation(places, lags, 0.5).T
+    wanted = model.increment_autocorrelation(lags, 0.5)
+    np.testing.assert_allclose(ours, wanted, atol=1e-8 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("method", FITS)
+def test_an_exact_autocorrelation_gives_the_truth(method, world):
+    model = WORLDS[world]
+    data, close = exact(model), 1e-2 if method == "rvm" else 1e-3  # its Gaussians are no sines
+    for axis in range(3):
+        found = getattr(methods, method)(data, axis)
+        zeta, b = np.exp(found.place)
+        assert b == pytest.approx(np.sqrt(model.stiffness[axis]), rel=close)
+        assert 2.0 * zeta * b == pytest.approx(model.damping[axis], rel=close)
+        unit = shape.increment_autocorrelation(found.place, data.lags, data.step)
+        assert shape.amplitude(unit, found.curve) == pytest.approx(
+            model.sigma[axis] ** 2, rel=4.0 * close
+        )
+
+
+@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("method", ["nls", "regression"])
+def test_a_long_record_gives_the_truth(method, world):
+    model = WORLDS[world]
+    record = simulate(model, 40_000.0, 0.5, seed=7)[0]
+    found = identify(method, record, 0.5)
+    error = logarithms(found) - logarithms(model)
+    assert (np.abs(error) < 4.5 * found.deviation + 0.01).all()
+    assert (np.abs(error) < 0.5).all()
+
+
+def test_gyro_noise_at_lag_zero_does_not_enter():
+    quiet = simulate(PAPER, 3000.0, 0.5, seed=3)[0]
+    rng = np.random.default_rng(0)
+    white = quiet.std(axis=0) * rng.standard_normal(quiet.shape)
+    # what is summed up to θ, as the regression needs it, tolerates less
+    for method, share in (("nls", 0.3), ("rvm", 0.3), ("regression", 0.02)):
+        one, other = identify(method, quiet, 0.5), identify(method, quiet + share * white, 0.5)
+        difference = logarithms(one)[:, 1:] - logarithms(other)[:, 1:]
+        assert (np.abs(difference) < one.deviation[:, 1:]).all()
+    # whereas lag 0 itself grows by the noise's variance
+    ratio = correlate(quiet + 0.3 * white, 0.5).variance / correlate(quiet, 0.5).variance
+    np.testing.assert_allclose(ratio, 1.09, atol=0.03)
+
+
+def test_lags_begin_where_increments_no_longer_overlap():
+    record = simulate(PAPER, 100.0, 0.05)[0]
+    data = correlate(record, 0.05, step=0.5)
+    assert data.step == pytest.approx(0.5)
+    assert data.lags[0] == pytest.approx(0.5)
+    sums = np.array([record[k : k + 10].sum(axis=0) for k in range(len(record) - 9)])
+    sums -= sums.mean(axis=0)
+    wanted = [np.mean(sums[n:] * sums[: len(sums) - n], axis=0) for n in (0, 10, 20, 100)]
+    np.testing.assert_allclose(data.variance, wanted[0])
+    np.testing.assert_allclose(data.values[[0, 1, 9]], wanted[1:], rtol=1e-9, atol=1e-20)
+
+
+def test_pairs_with_a_missing_increment_are_left_out():
+    record = simulate(PAPER, 200.0, 0.5, seed=1)[0]
+    record[100:140] = np.nan
+    record[250, 1] = np.nan  # one axis missing: the row is
+    data = correlate(record, 0.5)
+    there = np.isfinite(record).all(axis=1)
+    x = record - record[there].mean(axis=0)
+    pairs = there[7:] & there[:-7]
+    wanted = np.mean((x[7:] * x[:-7])[pairs], axis=0)
+    np.testing.assert_allclose(data.values[6], wanted, rtol=1e-9)
+    assert data.duration == pytest.approx(0.5 * there.sum())
+
+
+@pytest.mark.parametrize("method", QUICK)
+def test_gaps_cost_little(method):
+    record = simulate(PAPER, 3000.0, 0.5, seed=5)[0]
+    holed = record.copy()
+    holed[::301] = np.nan
+    whole, found = identify(method, record, 0.5), identify(method, holed, 0.5)
+    assert (np.abs(logarithms(whole) - logarithms(found))[:, 1] < 0.6).all()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_axes_may_be_exchanged(method, records):
+    found = identify(method, records[0], 0.5, **options(method))
+    turned = identify(method, records[0][:, [2, 0, 1]], 0.5, **options(method))
+    np.testing.assert_allclose(logarithms(turned), logarithms(found)[[2, 0, 1]], atol=1e-4)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_sigma_scales_with_the_increments_and_nothing_else_does(method, records):
+    found = logarithms(identify(method, records[1], 0.5, **options(method)))
+    scaled = logarithms(identify(method, 7.0 * records[1], 0.5, **options(method)))
+    np.testing.assert_allclose(scaled - found, np.log([[1.0, 1.0, 7.0]] * 3), atol=1e-3)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_same_record_gives_the_same_model(method, records):
+    one, other = (identify(method, records[2], 0.5, **options(method)) for _ in range(2))
+    np.testing.assert_array_equal(logarithms(one), logarithms(other))
+
+
+def test_a_search_depends_on_its_seed(records):
+    pytest.importorskip("mealpy")
+    one, other = (identify("whale", records[0], 0.5, seed=s, **SEARCH) for s in (1, 2))
+    assert not np.array_equal(logarithms(one), logarithms(other))
+
+
+def test_a_swarm_that_searches_long_ends_in_the_least_squares_fit(records):
+    pytest.importorskip("mealpy")
+    fit = identify("nls", records[3], 0.5)
+    swarm = identify("swarm", records[3], 0.5, population=40, epochs=150)
+    assert (swarm.diagnostics["residual"] < 1.02 * fit.diagnostics["residual"]).all()
+
+
+def test_regression_is_near_the_sampling_limit_and_fits_are_not(records):
+    # std ln b ≈ 1/√(bW): .125, .125, .216
+    limit = 1.0 / np.sqrt(np.sqrt(PAPER.stiffness) * 300.0)
+    found = {m: [identify(m, r, 0.5) for r in records] for m in ("regression", "nls", "rvm")}
+    rms = {m: rms_ln_b(models, PAPER) for m, models in found.items()}
+    assert (rms["regression"] < 1.45 * limit).all()
+    assert (rms["regression"] > 0.6 * limit).all()
+    assert (rms["regression"] < rms["nls"]).all()
+    np.testing.assert_allclose(rms["rvm"], rms["nls"], atol=0.005)  # the same to two decimals
+
+
+def test_only_instruments_find_the_damping(records):
+    plain = [identify("regression", r, 0.5, instruments=False) for r in records]
+    exactly = [identify("regression", r, 0.5) for r in records]
+    damping = [np.median([m.damping / PAPER.damping for m in f]) for f in (plain, exactly)]
+    assert damping[0] == pytest.approx(2.0 / 3.0, abs=0.1)
+    assert damping[1] == pytest.approx(1.0, abs=0.12)
+
+
+def test_deviations_are_what_errors_are(records):
+    for method in ("regression", "nls"):
+        models = [identify(method, r, 0.5) for r in records]
+        ratio = [(logarithms(m) - logarithms(PAPER)) / m.deviation for m in models]
+        assert 0.8 < np.sqrt(np.median(np.square(ratio))) / 0.6745 < 1.5
+
+
+def test_the_kernel_scale_is_a_dead_knob_below_eight_seconds(records):
+    def ln_b(scale):
+        models = [identify("rvm", r, 0.5, kernel_scale=scale) for r in records[:4]]
+        return np.log([m.stiffness for m in models]) / 2.0
+
+    still = ln_b(1.0)
+    for scale in (2.0, 4.0, 8.0):
+        assert np.abs(ln_b(scale) - still).max() < 0.03
+    assert np.abs(ln_b(32.0) - still).max() > 0.05  # over-smoothed
+
+
+def test_what_a_model_says_about_its_identification(records):
+    found = identify("rvm", records[0], 0.5, longest_lag=40.0)
+    told = found.diagnostics
+    assert told["lags"].shape == (80,)
+    assert told["autocorrelation"].shape == told["smoothed"].shape == (80, 3)
+    assert (told["relevance_vectors"] > 0).all()
+    assert told["covariance"].shape == (3, 3, 3)
+    assert found.evidence.shape == (3,)
+    assert identify("nls", records[0], 0.5).evidence is None
+    limit = np.sqrt(1.0 / (np.sqrt(found.stiffness) * 300.0) * found.damping / 2.0)
+    limit /= found.stiffness**0.25
+    assert (found.deviation[:, 1] / 2.0 >= limit * 0.999).all()
+
+
+def test_every_method_has_a_summary():
+    assert set(QUICK) < set(METHODS)
+    assert all(len(summary) > 20 for summary in METHODS.values())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "keywords", "message"),
+    [
+        (("rvn", varied((400, 3)), 0.5), {}, "Did you mean 'rvm'"),
+        (("rvm", varied((400, 3)), 0.5), {"kernel_scal": 1.0}, "Did you mean 'kernel_scale'"),
+        (("nls", varied((400, 3)), 0.5), {"kernel_scale": 1.0}, "option of method 'nls'"),
+        (("nls", varied((400, 2)), 0.5), {}, r"shape \(T, 3\)"),
+        (("nls", np.full((400, 3), np.inf), 0.5), {}, "infinities"),
+        (("nls", varied((79, 3)), 0.5), {}, "40 s are needed"),
+        (("nls", np.full((400, 3), np.nan), 0.5), {}, "received"),
+        (("nls", varied((400, 3)), 0.5), {"step": 0.1}, "step"),
+        (("nls", varied((400, 3)), 0.0), {}, "interval"),
+        (("nls", varied((400, 3)), 0.5), {"longest_lag": 150.0}, "longest_lag"),
+    ],
+)
+def test_errors_name_what_is_wrong(arguments, keywords, message):
+    with pytest.raises(ValueError, match=message):
+        identify(*arguments, **keywords)
+
+
+@pytest.mark.parametrize("value", [0.0, 1e-4])
+def test_increments_that_never_change_hold_no_flexure(value, records):
+    record = records[0].copy()
+    record[:, 1] = value
+    with pytest.raises(ValueError, match=r"axis y .*no flexure"):
+        identify("nls", record, 0.5)
+
+
+@pytest.mark.parametrize("method", QUICK)
+def test_white_noise_crashes_nothing(method):
+    record = np.random.default_rng(0).standard_normal((600, 3))
+    found = identify(method, record, 0.5)
+    assert np.isfinite(logarithms(found)).all()
+
+
+def test_a_library_that_is_missing_is_named_with_its_extra(monkeypatch, records):
+    monkeypatch.setitem(__import__("sys").modules, "sklearn.svm", None)
+    monkeypatch.setitem(__import__("sys").modules, "mealpy", None)
+    for method in ("svr", "swarm"):
+        with pytest.raises(ImportError, match=r"navgym\[identification\]"):
+            identify(method, records[0], 0.5)
+
+
+@pytest.mark.slow
+def test_ordering_of_the_methods_over_many_records():
+    records = simulate(PAPER, 300.0, 0.5, runs=20, seed=1)
+    rms = {m: rms_ln_b([identify(m, r, 0.5) for r in records], PAPER) for m in METHODS}
+    for fit, close in (("rvm", 0.01), ("rvm_dictionary", 0.01), ("swarm", 0.1)):
+        np.testing.assert_allclose(rms[fit], rms["nls"], atol=close)
+    for poor in ("whale", "tufts_kumaresan"):
+        assert rms[poor].mean() > rms["nls"].mean()
+    assert all((rms["regression"] <= other + 1e-9).all() for other in rms.values())

@@ -1,0 +1,178 @@
+"""Sparse Bayesian regression: published figures, a readable twin, a peer in C++, invariances."""
+
+import numpy as np
+import pytest
+
+from navgym.identification import RVM
+from navgym.identification.kernels import fast_marginal_likelihood
+from tests.identification import twin
+
+X = np.linspace(-10.0, 10.0, 100)
+SINC = np.sinc(X / np.pi)
+
+
+def noisy(seed, points=100, sigma=0.1):
+    x = np.linspace(-10.0, 10.0, points)
+    return x, np.sinc(x / np.pi) + sigma * np.random.default_rng(seed).standard_normal(points)
+
+
+def test_tippings_noise_free_sinc_takes_nine_relevance_vectors():
+    # Tipping (2001), section 4.1: linear spline kernel, σ fixed at .01; 9 vectors, error .0070
+    machine = RVM("spline", bias=True, noise=0.01).fit(X, SINC)
+    assert machine.converged
+    assert len(machine.relevance) == 9
+    assert np.abs(machine.predict(X) - SINC).max() == pytest.approx(0.0070, abs=1e-4)
+
+
+def test_tippings_noisy_sinc():
+    # Tipping (2001), table 1, as corrected later: RMS .0326 with 6.7 vectors
+    errors, counts = [], []
+    for seed in range(60):
+        machine = RVM("spline").fit(*noisy(seed))
+        errors.append(np.sqrt(np.mean((machine.predict(X) - SINC) ** 2)))
+        counts.append(len(machine.relevance))
+    assert np.mean(errors) == pytest.approx(0.0326, abs=0.003)
+    assert np.mean(counts) == pytest.approx(6.7, abs=0.6)
+
+
+def test_uniform_noise_of_tippings_second_table():
+    errors = []
+    for seed in range(60):
+        y = SINC + np.random.default_rng(seed).uniform(-0.1, 0.1, 100)
+        errors.append(np.sqrt(np.mean((RVM("spline").fit(X, y).predict(X) - SINC) ** 2)))
+    assert np.mean(errors) == pytest.approx(0.0187, abs=0.003)
+
+
+@pytest.mark.parametrize("learn", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_kernel_does_what_its_twin_does(seed, learn):
+    rng = np.random.default_rng(seed)
+    B = rng.standard_normal((25, 30))
+    B /= np.linalg.norm(B, axis=1)[:, None]
+    y = B[3] - 2.0 * B[11] + 0.1 * rng.standard_normal(30)
+    first = np.array([0, 11, 20])
+    active, alpha, mean, U, beta, trace, converged = fast_marginal_likelihood(
+        B, B.T.copy(), y, first, 100.0, learn, 1e12, 1e-6, 10_000
+    )
+    begun, found = twin.all_together(B, y, first.tolist(), 100.0, learn)
+    wanted, found = twin.one_by_one(B, y, begun, found, learn, 1e-6)
+    assert converged
+    assert sorted(active) == sorted(wanted)
+    np.testing.assert_allclose(alpha, [wanted[i] for i in active], rtol=1e-4)
+    assert beta == pytest.approx(found, rel=1e-5)
+    ours = dict(zip(active.tolist(), alpha, strict=True))
+    assert trace[-1] == pytest.approx(twin.evidence(B, y, ours, beta), abs=1e-8)
+    weights, variance = twin.posterior(B, y, ours, beta)
+    np.testing.assert_allclose(mean, weights, rtol=1e-8)
+    np.testing.assert_allclose(np.diag(U.T @ U), variance, rtol=1e-8)
+
+
+def test_evidence_reaches_that_of_a_peer():
+    rvr = pytest.importorskip("fastrvm").RVR
+    for seed in range(5):
+        x, y = noisy(seed, 200)
+        ours = RVM("gaussian", scale=2.0).fit(x, y)
+        peer = rvr(kernel="rbf", gamma=0.25).fit(x[:, None], y)
+        theirs = peer.scores_[-1] - len(x) / 2.0 * np.log(2.0 * np.pi)  # it leaves this out
+        assert ours.evidence > theirs - 1.0
+        np.testing.assert_allclose(ours.predict(x), peer.predict(x[:, None]), atol=0.05)
+
+
+def test_the_evidence_never_falls_once_functions_move_one_by_one():
+    machine = RVM("gaussian", scale=2.0, noise=0.1).fit(*noisy(0))
+    steps = np.diff(machine.trace[40:])  # before, they may move together
+    assert len(steps) > 10
+    assert steps.min() > -1e-9
+
+
+def test_the_evidence_is_the_density_of_the_targets():
+    x, y = noisy(1, 40)
+    machine = RVM("gaussian", scale=2.0, bias=True).fit(x, y)
+    design = np.exp(-((x[:, None] - x[machine.relevance]) ** 2) / 4.0)
+    if len(machine.alpha) > len(machine.relevance):
+        design = np.column_stack((design, np.ones(len(x))))
+    C = machine.sigma**2 * np.eye(len(x)) + design @ np.diag(1.0 / machine.alpha) @ design.T
+    wanted = -0.5 * (np.linalg.slogdet(2 * np.pi * C)[1] + y @ np.linalg.solve(C, y))
+    assert machine.evidence == pytest.approx(wanted, rel=1e-6)
+
+
+def test_the_band_holds_the_share_of_data_that_it_promises():
+    inside = []
+    for seed in range(20):
+        x, y = noisy(seed)
+        mean, deviation = RVM("gaussian", scale=2.0).fit(x, y).predict(x, deviation=True)
+        inside.append(np.abs(y - mean) < 2.0 * deviation)
+    assert 0.93 < np.mean(inside) < 0.98
+
+
+@pytest.mark.parametrize("factor", [1e-9, 1e6])
+def test_units_of_the_targets_do_not_matter(factor):
+    x, y = noisy(2)
+    one, other = RVM(scale=2.0).fit(x, y), RVM(scale=2.0).fit(x, factor * y)
+    np.testing.assert_array_equal(one.relevance, other.relevance)
+    np.testing.assert_allclose(factor * one.weights, other.weights, rtol=1e-6)
+    assert other.sigma == pytest.approx(factor * one.sigma)
+    assert other.evidence == pytest.approx(one.evidence - len(y) * np.log(factor))
+
+
+def test_a_kernel_may_be_a_function_or_a_matrix():
+    x, y = noisy(3)
+    named = RVM("gaussian", scale=2.0).fit(x, y)
+    called = RVM(lambda a, b: np.exp(-((a - b.T) ** 2) / 4.0)).fit(x, y)
+    matrix = np.exp(-((x[:, None] - x) ** 2) / 4.0)
+    given = RVM("precomputed").fit(matrix, y)
+    np.testing.assert_allclose(called.predict(x), named.predict(x), atol=1e-9)
+    np.testing.assert_allclose(given.predict(matrix), named.predict(x), atol=1e-9)
+
+
+def test_a_constant_is_learnt_with_a_bias_and_two_dimensions_are_points():
+    grid = np.stack(np.meshgrid(np.arange(8.0), np.arange(8.0)), axis=-1).reshape(-1, 2)
+    rng = np.random.default_rng(0)
+    y = 5.0 + np.exp(-((grid - 3.0) ** 2).sum(axis=1) / 4.0) + 0.01 * rng.standard_normal(64)
+    machine = RVM(scale=2.0, bias=True).fit(grid, y)
+    assert machine.intercept == pytest.approx(5.0, abs=0.05)
+    assert len(machine.relevance) <= 6
+
+
+def test_targets_that_are_zero_leave_nothing_relevant():
+    machine = RVM().fit(X, np.zeros(100))
+    assert len(machine.relevance) == 0
+    np.testing.assert_array_equal(machine.predict(X), 0.0)
+
+
+@pytest.mark.parametrize(("points", "functions"), [(10, 200), (60, 5), (2, 2)])
+def test_a_design_may_be_wide_or_tall(points, functions):
+    rng = np.random.default_rng(0)
+    design = rng.standard_normal((points, functions))
+    machine = RVM("precomputed", bias=True).fit(design, design[:, 1] + 1.0)
+    assert np.isfinite(machine.predict(design)).all()
+    assert len(machine.relevance) <= points
+
+
+def test_functions_that_repeat_do_no_harm():
+    design = np.repeat(np.exp(-((X[:, None] - X[::10]) ** 2) / 4.0), 5, axis=1)
+    machine = RVM("precomputed").fit(design, design[:, 12])
+    np.testing.assert_allclose(machine.predict(design), design[:, 12], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"kernel": "gausian"}, "Did you mean 'gaussian'"),
+        ({"scale": 0.0}, "scale"),
+        ({"noise": -1.0}, "noise"),
+        ({"limit": 0}, "limit"),
+    ],
+)
+def test_options_that_cannot_be_used_are_named(options, message):
+    with pytest.raises(ValueError, match=message):
+        RVM(**options)
+
+
+def test_data_that_cannot_be_used_are_named():
+    with pytest.raises(ValueError, match="y must hold one number per row"):
+        RVM().fit(X, SINC[:-1])
+    with pytest.raises(ValueError, match=r"kernel\(x, z\) must return shape"):
+        RVM(lambda a, b: a).fit(X, SINC)
+    with pytest.raises(RuntimeError, match="call fit"):
+        RVM().predict(X)

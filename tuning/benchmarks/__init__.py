@@ -1,0 +1,1 @@
+"""Benchmarks: ratios to well-known things, measured in turns in one run."""

@@ -1,0 +1,651 @@
+"""The deck figures of IDAM section 5 and of SCIENCE B2 and B3, run again, each beside what was expected."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from navgym._checks import Array
+from navgym.deck_batch import DeckBatch
+from navgym.dual_imu import DualIMURecording
+from navgym.flexure import ARCMIN, FlexureModel
+from navgym.identification import METHODS, identify
+from navgym.increments import flexure_increments
+from navgym.scenarios.deck import CALM, GUESS
+from tuning import deck_expected as expected
+from tuning.deck_cases import DeckCases, Trial
+from tuning.expected import Check
+from tuning.plots import BAD, BEST, FAINT, PLAIN, drawing
+from tuning.report import Figure, Section, Table
+from tuning.reproduction import MARKS, Part
+
+AXES = ("x", "y", "z")
+SEEDS_NEEDED = 45  # paired runs that the issue asks for
+WIDTHS = (2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 50.0)
+SCHEDULE = (50.0, 50.0, 50.0, 2.0)  # calm, swell, slam, glitch
+LATE = (20.0, 20.0, 20.0, 2.0)
+SCALES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much is run: paired test recordings, training recordings for a choice, identifications."""
+
+    runs: int
+    train: int
+    identifications: int
+
+
+FULL = Size(runs=60, train=24, identifications=40)
+QUICK = Size(runs=6, train=4, identifications=4)
+
+
+def deck(size: Size, repoimu: Path | None) -> Iterator[Part]:
+    """Every part of the reproduction in turn."""
+    yield comparison(size)
+    yield limits(size)
+    yield levers(size)
+    yield identification(size)
+    yield robustness(size)
+    yield switching(size)
+    yield sea_state(size)
+    if repoimu is not None:
+        yield pendulum(repoimu)
+
+
+# ---- the paper's comparison
+
+
+def comparison(size: Size) -> Part:
+    """IDAM, WOAM, SVRAM on the setting of section 5, all starting from the same guess."""
+    cases = DeckCases.simulated("deck/paper", "test", size.runs, believed=GUESS, lever_error=0.03)
+    known = DeckCases(_believing(cases.batch, CALM.flexure), cases.about)
+    trials = {
+        "alignment, flexure known": known.try_out("alignment"),
+        "alignment, guess": cases.try_out("alignment"),
+        **{name: cases.try_out(name) for name in ("idam", "woam", "svram", "idam_printed")},
+    }
+    rows = [_comparison_row(name, t, trials["idam"]) for name, t in trials.items()]
+    head = [
+        "filter",
+        "z of θ",
+        "sd",
+        "z of attitude",
+        "θ̇",
+        "diverged",
+        "θ_z less IDAM's",
+        "p",
+        "paper",
+    ]
+    caption = (
+        f"RMSE from 60 to 300 s, mean over {size.runs} paired test seeds with its 95 % interval, arcmin "
+        "(θ̇: arcmin/s). sd: deviation of the z figure from seed to seed. The paper has one run and does "
+        "not say which attitude its figure is; only θ is of its size."
+    )
+    found = {name: _summary(t) for name, t in trials.items()}
+    z = trials["idam"].mean("theta", 2)
+    check = Check(
+        "θ_z of idam against the paper's 4.260′", 4.260, z, trials["idam"].half("theta", 2), 1.0
+    )
+    section = Section(
+        "IDAM section 5: is IDAM better than WOAM and SVRAM?",
+        _verdict(trials),
+        [_bars(trials), Table(head, rows, caption)],
+    )
+    return Part(section, (check,), found)
+
+
+def _believing(batch: DeckBatch, flexure: FlexureModel) -> DeckBatch:
+    """The same mechanised recordings for a filter that believes another flexure."""
+    given = [_with_flexure(r, flexure) for r in batch.recordings]
+    return replace(batch, recordings=tuple(given))
+
+
+def _with_flexure(recording: DualIMURecording, flexure: FlexureModel) -> DualIMURecording:
+    model = replace(recording.model, flexure=flexure)
+    return replace(recording, model=model, check_units=False)
+
+
+def _comparison_row(name: str, trial: Trial, idam: Trial) -> list[str]:
+    each = trial.each("theta", 2)
+    cells = [
+        name,
+        _shown(trial, "theta", 2),
+        f"{each.std(ddof=1):.2f}",
+        _shown(trial, "attitude", 2),
+    ]
+    cells += [_shown(trial, "theta_rate"), f"{100 * trial.diverged.mean():.0f} %"]
+    if trial is idam:
+        cells += ["–", "–"]
+    else:
+        d = trial.against(idam, "theta", 2)
+        cells += [f"{d.mean_difference:+.2f} ({d.low:+.2f} to {d.high:+.2f})", f"{d.p_value:.2g}"]
+    paper = expected.PAPER_Z.get(name)
+    return [*cells, "–" if paper is None else f"{paper:.3f}"]
+
+
+def _shown(trial: Trial, quantity: str, axis: int | None = None) -> str:
+    return f"{trial.mean(quantity, axis):.2f} ± {trial.half(quantity, axis):.2f}"
+
+
+def _verdict(trials: Mapping[str, Trial]) -> list[str]:
+    """What holds of the paper's ordering, and what does not, in plain words."""
+    idam = trials["idam"]
+    sd = float(idam.each("theta", 2).std(ddof=1))
+    claims = []
+    for name in ("woam", "svram"):
+        d = trials[name].against(idam, "theta", 2)
+        gap = expected.PAPER_Z[name] - expected.PAPER_Z["idam"]
+        spread = float((trials[name].each("theta", 2) - idam.each("theta", 2)).std(ddof=1))
+        if d.low > 0.0:
+            word = f"is worse than idam by {d.mean_difference:.2f}′ ({d.low:.2f} to {d.high:.2f})"
+        elif d.high < 0.0:
+            word = f"is **better** than idam by {-d.mean_difference:.2f}′ ({-d.high:.2f} to {-d.low:.2f})"
+        else:
+            word = f"cannot be told from idam ({d.low:+.2f} to {d.high:+.2f}′)"
+        needed = int(np.ceil((2.8 * spread / gap) ** 2)) if spread > 0.0 else 1
+        claims.append(
+            f"`{name}` {word}; the paper has it {gap:.2f}′ worse. A single pair of runs differs by "
+            f"{spread:.2f}′ (sd) from seed to seed here, so a gap of the paper's size takes {needed} paired "
+            "runs to be seen with 80 % power."
+        )
+    bound = idam_bound()
+    return [
+        f"The paper's 4.260′ is what the model allows at all: σ/√(1 + βt/4) is {bound[0]:.2f}′ at 60 s and "
+        f"{bound[1]:.2f}′ at 300 s for an axis of σ = 10′, τ = 30 s, whatever the filter; here idam has "
+        f"{idam.mean('theta', 2):.2f}′ with a deviation of {sd:.2f}′ from seed to seed.",
+        "**What does not hold:** the order IDAM < WOAM < SVRAM as a property of the methods. "
+        + " ".join(claims),
+        "**What holds:** the filter measures the deck's total attitude to "
+        f"{trials['alignment, flexure known'].mean('attitude'):.2f}′, and identification on line leaves that "
+        f"as it is ({idam.mean('attitude'):.2f}′): θ is not needed for the attitude.",
+    ]
+
+
+def idam_bound() -> tuple[float, float]:
+    """Split bound of the paper's z axis at 60 and 300 s, arcmin."""
+    values = CALM.flexure.split_deviation(np.array([60.0, 300.0]))[:, 2] / ARCMIN
+    return float(values[0]), float(values[1])
+
+
+def _bars(trials: Mapping[str, Trial]) -> Figure:
+    """Every run's z figure beside its mean, the bound and the paper's value."""
+    caption = "RMSE of θ_z of each run (dots), mean with 95 % interval, the paper's single run (cross); the dashed line is the split bound at 300 s."
+    with drawing(caption, 0.7 + 0.42 * len(trials)) as (axes, made):
+        rng = np.random.default_rng(0)
+        for i, (name, trial) in enumerate(trials.items()):
+            each = trial.each("theta", 2)
+            axes.plot(each, i + 0.25 * rng.uniform(-1, 1, len(each)), ".", ms=3, color=FAINT)
+            axes.errorbar(
+                trial.mean("theta", 2),
+                i,
+                xerr=trial.half("theta", 2),
+                fmt="o",
+                ms=5,
+                color=BEST if name == "idam" else PLAIN,
+            )
+            if name in expected.PAPER_Z:
+                axes.plot(expected.PAPER_Z[name], i, "x", color=BAD, ms=7, mew=2)
+        axes.axvline(idam_bound()[1], color=FAINT, ls=(0, (4, 3)), lw=1.0)
+        axes.set_yticks(range(len(trials)), list(trials))
+        axes.invert_yaxis()
+        axes.set_xlabel("RMSE of θ about z, 60 to 300 s, arcmin")
+        axes.set_xlim(0.0, None)
+        axes.grid(axis="x")
+    return made[0]
+
+
+# ---- B2: what can be known at all
+
+
+def limits(size: Size) -> Part:
+    """θ against the split bound; total attitude; the filter's own deviation."""
+    cases = DeckCases.simulated("deck/paper", "test", size.runs, lever_error=0.03)
+    trial = cases.try_out("alignment", {"velocity_noise": 2.0})
+    posterior = _posterior(cases, {"velocity_noise": 2.0})
+    split = CALM.flexure.split_deviation(300.0) / ARCMIN
+    checks = [
+        *_axis_checks("θ, true flexure, r_V = 2", expected.ORACLE_THETA, trial, "theta"),
+        *_axis_checks(
+            "attitude, true flexure, r_V = 2", expected.ORACLE_ATTITUDE, trial, "attitude"
+        ),
+        *(
+            Check(f"the filter's own deviation of θ_{a} at 300 s", e, p, 0.0, 0.02 * e)
+            for a, e, p in zip(AXES, expected.POSTERIOR, posterior, strict=True)
+        ),
+        *(
+            Check(f"split bound of θ_{a} at 300 s", e, s, 0.0, 0.01)
+            for a, e, s in zip(AXES, expected.SPLIT, split, strict=True)
+        ),
+    ]
+    text = [
+        "Gyros see θ(t) − θ(0) to arcseconds; the constant between Φ and θ(0) only the flexure's model "
+        "can resolve, and it needs correlation times to do so. The total attitude does not need it.",
+    ]
+    return Part(
+        Section("B2. Limits", text, [_bound_figure(cases), _check_table(checks)]),
+        tuple(checks),
+        {"trial": _summary(trial)},
+    )
+
+
+def _posterior(cases: DeckCases, parameters: Mapping[str, Any]) -> Array:
+    """(3,) the filter's deviation of θ at the end of the first recording, arcmin."""
+    from navgym.deck_estimation import run_deck
+
+    one = replace(
+        cases.batch,
+        recordings=cases.batch.recordings[:1],
+        tapes=cases.batch.tapes[:1],
+        lengths=cases.batch.lengths[:1],
+    )
+    P = run_deck("alignment", one, parameters, everything=True)["covariances"][0, -1]
+    found: Array = np.sqrt(np.diag(P)[18:21]) / ARCMIN
+    return found
+
+
+def _axis_checks(what: str, values: Sequence[float], trial: Trial, quantity: str) -> list[Check]:
+    return [
+        Check(
+            f"{what}, {a}", v, trial.mean(quantity, i), trial.half(quantity, i), expected.SPREAD * v
+        )
+        for i, (a, v) in enumerate(zip(AXES, values, strict=True))
+    ]
+
+
+def _bound_figure(cases: DeckCases) -> Figure:
+    """RMS over runs of θ's error at each time, beside the bound."""
+    from navgym.deck_estimation import run_deck
+
+    states = run_deck("alignment", cases.batch, {"velocity_noise": 2.0})["states"]
+    error = (
+        np.sqrt(np.nanmean((states[..., 18:21] - cases.batch.tapes["theta"]) ** 2, axis=0)) / ARCMIN
+    )
+    when = cases.recordings[0].step_time
+    bound = CALM.flexure.split_deviation(when) / ARCMIN
+    caption = "Error of θ over time, RMS over the runs, and the least that the flexure's model allows (dashed). No filter gets below; one that seems to has been told something."
+    with drawing(caption, 2.6, ncols=3, sharex=True) as (axes, made):
+        for a, each in enumerate(axes):
+            each.plot(when, error[:, a], color=PLAIN, lw=1.4)
+            each.plot(when, bound[:, a], color=FAINT, ls=(0, (4, 3)), lw=1.4)
+            each.set_title(f"θ {AXES[a]}")
+            each.set_ylim(0.0, None)
+            each.set_xlabel("time, s")
+        axes[0].set_ylabel("arcmin")
+    return made[0]
+
+
+def levers(size: Size) -> Part:
+    """What a small velocity noise sees, and what it believes to see."""
+    parameters = {"velocity_noise": 0.01}
+    cases = {
+        "exact": {"lever_error": 0.0},
+        "3 cm": {"lever_error": 0.03},
+        "Φ × r0": {"lever_error": 0.0, "static_lever": True},
+    }
+    trials, wide = {}, {}
+    for name, overrides in cases.items():
+        made = DeckCases.simulated("deck/paper", "test", size.runs, **overrides)
+        trials[name] = made.try_out("alignment", parameters)
+        wide[name] = made.try_out("alignment")
+    checks = [
+        Check(
+            f"θ_z, lever arm: {n}, r_V = .01",
+            v,
+            trials[n].mean("theta", 2),
+            trials[n].half("theta", 2),
+            0.3 * v,
+        )
+        for n, v in expected.LEVER_Z.items()
+    ]
+    rows = [
+        [n, _shown(t, "theta", 2), _shown(wide[n], "theta", 2), f"{expected.LEVER_Z[n]:g}"]
+        for n, t in trials.items()
+    ]
+    text = [
+        "With an exactly known lever arm the velocities see θ through the arm's motion, which no ship offers: "
+        "an exact lever arm is a hidden oracle. A few centimetres turn the gain into a loss; the noise of the "
+        "velocity channels is what protects the filter."
+    ]
+    table = Table(
+        ["lever arm", "θ_z at r_V = .01 m/s", "at .2 m/s", "expected at small r_V"],
+        rows,
+        "arcmin, mean over runs. The prototype does not say how small its r_V was.",
+    )
+    return Part(
+        Section("B2. The lever arm", text, [table]),
+        tuple(checks),
+        {n: _summary(t) for n, t in trials.items()},
+    )
+
+
+# ---- B2: identification
+
+
+def identification(size: Size) -> Part:
+    """rms of ln b per method and axis, from 300 s of increments, and what the kernel scale does."""
+    cases = DeckCases.simulated("deck/paper", "test", size.identifications)
+    truth = 0.5 * np.log(CALM.flexure.stiffness)
+    inertial = [_true_increments(r, i, cases) for i, r in enumerate(cases.recordings)]
+    rows, found, errors = [], {}, {}
+    for method in METHODS:
+        began = time.perf_counter()
+        error = np.array(
+            [
+                0.5 * np.log(identify(method, x, cases.batch.step).stiffness) - truth
+                for x in inertial
+            ]
+        )
+        cost = 1e3 * (time.perf_counter() - began) / len(inertial)
+        errors[method] = np.sqrt((error**2).mean(axis=0))
+        known = expected.LN_B.get(method)
+        wanted = "–" if known is None else " / ".join(f"{v:.2f}" for v in known)
+        rows.append(
+            [
+                method,
+                " / ".join(f"{v:.2f}" for v in errors[method]),
+                " / ".join(f"{v:+.2f}" for v in error.mean(axis=0)),
+                f"{cost:.0f}",
+                wanted,
+            ]
+        )
+        found[method] = {"rms_ln_b": errors[method].tolist(), "milliseconds": cost}
+    limit = 1.0 / np.sqrt(np.sqrt(CALM.flexure.stiffness) * 300.0)
+    rows.append(["sampling limit 1/√(βW)", " / ".join(f"{v:.2f}" for v in limit), "", "", ""])
+    scale_rows = []
+    for scale in SCALES:
+        error = np.array(
+            [
+                0.5 * np.log(identify("rvm", x, cases.batch.step, kernel_scale=scale).stiffness)
+                - truth
+                for x in inertial
+            ]
+        )
+        rms = np.sqrt((error**2).mean(axis=0))
+        scale_rows.append([f"{scale:g}", " / ".join(f"{v:.2f}" for v in rms)])
+        found[f"kernel scale {scale:g}"] = {"rms_ln_b": rms.tolist()}
+    body = np.array(
+        [
+            np.sqrt(
+                identify(
+                    "nls", flexure_increments(r, _true_alignment(r, i, cases), "body"), r.step
+                ).stiffness
+                / CALM.flexure.stiffness
+            )
+            for i, r in enumerate(cases.recordings)
+        ]
+    )
+    found["body frame"] = {"median_factor_of_b": np.median(body, axis=0).tolist()}
+    checks = [
+        Check(
+            f"regression, rms of ln b_{a}",
+            v,
+            float(errors["regression"][i]),
+            1.4 * float(errors["regression"][i]) / np.sqrt(size.identifications),
+            0.25 * v,
+        )
+        for i, (a, v) in enumerate(zip(AXES, expected.LN_B["regression"] or (), strict=True))
+    ]
+    text = [
+        f"{size.identifications} records of 300 s, true initial alignment. What a method makes of the autocorrelation matters less than "
+        "how long the record is. Increments in body axes (the printed eq. 16) carry δΘ × θ and lock on to the sway: the "
+        f"identified b is {' / '.join(f'{v:.1f}' for v in np.median(body, axis=0))} times the true one "
+        f"(median; the prototype has {' / '.join(str(v) for v in expected.BODY_FACTOR)})."
+    ]
+    return Part(
+        Section("B2. Identification", text, [
+            Table(["method", "rms of ln b, x / y / z", "mean", "ms each", "expected"], rows, "Nothing else was tuned."),
+            Table(["RVM kernel scale, s", "rms of ln b, x / y / z"], scale_rows, "The kernel scale is a dead knob until it over-smooths."),
+        ]), tuple(checks), found,
+    )  # fmt: skip
+
+
+def _true_alignment(recording: DualIMURecording, i: int, cases: DeckCases) -> Rotation:
+    tape, reference = cases.batch.tapes[i, : recording.steps], recording.reference
+    assert reference is not None
+    main, sub = (
+        Rotation.from_quat(np.array(tape[n][-1]), scalar_first=True) for n in ("q_m", "q_s")
+    )
+    return main * Rotation.from_quat(recording.at_steps(reference)[-1]) * sub.inv()
+
+
+def _true_increments(recording: DualIMURecording, i: int, cases: DeckCases) -> Array:
+    return flexure_increments(recording, _true_alignment(recording, i, cases))
+
+
+# ---- B2, B3: correntropy and model prediction
+
+
+def robustness(size: Size) -> Part:
+    """Widths against glitches and slams, weights judged by S and by R, model prediction."""
+    quantities = ("theta", "theta_ac", "theta_rate")
+    rows, found = [], {}
+    cases = {
+        name: DeckCases.simulated(f"deck/{name}", "test", size.runs) for name in ("glitch", "slam")
+    }
+    for width in WIDTHS:
+        line = ["off" if width >= 50.0 else f"{width:g}"]
+        for name, each in cases.items():
+            trial = each.try_out("alignment_mcc", {"kernel_width": width}, attitude=False)
+            line += [f"{trial.mean(q):.2f}" for q in quantities]
+            found[f"{name}, width {width:g}"] = _summary(trial)
+        rows.append(line)
+    printed = cases["slam"].try_out("idam_printed", {"kernel_width": 2.0})
+    found["slam, idam_printed, width 2"] = _summary(printed)
+    head = ["kernel width", *(f"{n}: {q}" for n in cases for q in ("θ", "θ_ac", "θ̇"))]
+    plain = DeckCases.simulated("deck/paper", "test", size.runs, lever_error=0.03)
+    weights = (1e6, 100.0, 10.0, 1.0, 0.1, 1e-3)
+    mpf = {
+        w: plain.try_out(
+            "idam", {"kernel_width": 50.0, "model_error_weight": w, "identification_window": 600.0}
+        )
+        for w in weights
+    }
+    mpf_rows = [
+        [
+            "off" if w >= 1e6 else f"{w:g}",
+            *(_shown(t, q) for q in ("theta", "theta_rate", "attitude")),
+            f"{100 * t.diverged.mean():.0f} %",
+        ]
+        for w, t in mpf.items()
+    ]
+    found |= {f"MPF weight {w:g}": _summary(t) for w, t in mpf.items()}
+    d = mpf[10.0].against(mpf[1e6], "theta")
+    text = [
+        "A narrow kernel rejects glitches, which is right, and slams, which is wrong: the gyros see them correctly. "
+        "One fixed width serves one of them; that conflict is what an agent can win.",
+        f"Weights judged by R alone, as printed, lock the filter out: `idam_printed` at width 2 has {printed.mean('theta'):.1f}′ of θ under slams "
+        f"({100 * printed.diverged.mean():.0f} % diverged).",
+        f"Model prediction at weight 10 changes θ by {d.mean_difference:+.2f}′ ({d.low:+.2f} to {d.high:+.2f}); off is the default.",
+    ]
+    return Part(
+        Section("B2. Correntropy and model prediction", text, [
+            Table(head, rows, "arcmin, θ̇ in arcmin/s: lengths, mean over runs."),
+            Table(["MPF weight, dt/q", "θ", "θ̇", "attitude", "diverged"], mpf_rows, "Calm sea."),
+        ]), (), found,
+    )  # fmt: skip
+
+
+def switching(size: Size) -> Part:
+    """B3: the best fixed width, chosen on training seeds, against schedules by true regime."""
+    train = DeckCases.simulated("deck/switch-60", "train", size.train)
+    tried = {w: train.try_out("alignment_mcc", {"kernel_width": w}, attitude=False) for w in WIDTHS}
+    best = min(tried, key=lambda w: tried[w].mean("theta_rate") / 0.7 + tried[w].mean("theta_ac"))
+    cases = DeckCases.simulated("deck/switch-60", "test", size.runs)
+    trials = {
+        "MCC off": cases.try_out("alignment"),
+        "best fixed width": cases.try_out("alignment_mcc", {"kernel_width": best}),
+        "true-regime schedule": _scheduled(cases, SCHEDULE, 0.0),
+        "same, 1 s late, fall-back 20": _scheduled(cases, LATE, 1.0),
+        "same, 5 s late, fall-back 20": _scheduled(cases, LATE, 5.0),
+        "oracle": cases.try_out("oracle"),
+    }
+    base = trials["best fixed width"]
+    checks = [
+        Check(
+            f"switch-60, {name}, {q}",
+            v,
+            trials[name].mean(q),
+            trials[name].half(q),
+            expected.SPREAD * v,
+            smaller_is_fine=True,
+        )
+        for name, values in expected.SWITCH.items()
+        for q, v in zip(("theta", "theta_ac", "theta_rate"), values, strict=True)
+    ]
+    d = trials["true-regime schedule"].against(base, "theta_rate")
+    checks.append(
+        Check(
+            "switch-60: gain of the schedule in θ̇, %",
+            expected.SWITCH_GAIN,
+            100 * d.relative_gain,
+            50 * (d.gain_high - d.gain_low),
+            3.0,
+        )
+    )
+    rows = []
+    for name, trial in trials.items():
+        gains = []
+        for q in ("theta", "theta_ac", "theta_rate"):
+            g = trial.against(base, q)
+            gains.append(
+                "–"
+                if trial is base
+                else f"{100 * g.relative_gain:+.1f} ({100 * g.gain_low:+.1f} to {100 * g.gain_high:+.1f})"
+            )
+        rows.append(
+            [
+                name,
+                *(_shown(trial, q) for q in ("theta", "theta_ac", "theta_rate", "attitude")),
+                *gains,
+            ]
+        )
+    text = [
+        f"Best fixed width on training seeds: {best:g}. The schedule is off in calm, swell and slam and 2 under glitches. "
+        "The oracle knows the true flexure, each slam and each glitch: a bound."
+    ]
+    head = ["policy", "θ", "θ_ac", "θ̇", "attitude", "gain in θ, %", "θ_ac, %", "θ̇, %"]
+    caption = f"{size.runs} paired test recordings of 480 s, scored from 60 s; lengths, arcmin and arcmin/s; gains over best fixed with 95 % intervals."
+    return Part(
+        Section(
+            "B3. Switching conditions", text, [Table(head, rows, caption), _check_table(checks)]
+        ),
+        tuple(checks),
+        {n: _summary(t) for n, t in trials.items()} | {"best_width": best},
+    )
+
+
+def _scheduled(cases: DeckCases, values: Sequence[float], delay: float) -> Trial:
+    schedule = cases.by_regime(values, delay)
+    return cases.try_out("alignment_mcc", [{"kernel_width": row} for row in schedule], 1)
+
+
+def sea_state(size: Size) -> Part:
+    """The flexure's parameters change: true ones, believed ones, and identification on line."""
+    cases = DeckCases.simulated("deck/sea-state", "test", size.runs)
+    trials = {
+        "believed (calm)": cases.try_out("alignment"),
+        "true at each moment": cases.try_out("oracle"),
+    }
+    for window in (60.0, 120.0):
+        trials[f"idam, window {window:g} s"] = cases.try_out(
+            "idam", {"kernel_width": 50.0, "identification_window": window}
+        )
+        trials[f"printed identification, window {window:g} s"] = cases.try_out(
+            "idam_printed",
+            {"kernel_width": 50.0, "model_error_weight": 1e6, "identification_window": window},
+        )
+    base = trials["believed (calm)"]
+    rows = []
+    for name, trial in trials.items():
+        d = trial.against(base, "theta_ac")
+        gain = (
+            "–"
+            if trial is base
+            else f"{100 * d.relative_gain:+.1f} ({100 * d.gain_low:+.1f} to {100 * d.gain_high:+.1f})"
+        )
+        rows.append(
+            [
+                name,
+                *(_shown(trial, q) for q in ("theta", "theta_ac", "theta_rate", "attitude")),
+                gain,
+            ]
+        )
+    text = [
+        "The sea rises and falls every 150 s. Identification from a trailing window alone loses what it wins to sampling error; "
+        "`idam` shrinks what it identifies toward what it believed, by the precision of each."
+    ]
+    head = ["flexure", "θ", "θ_ac", "θ̇", "attitude", "gain in θ_ac, %"]
+    return Part(
+        Section(
+            "B3. The sea state changes", text, [Table(head, rows, "Lengths, arcmin and arcmin/s.")]
+        ),
+        (),
+        {n: _summary(t) for n, t in trials.items()},
+    )
+
+
+# ---- real data
+
+
+def pendulum(folder: Path) -> Part:
+    """RepoIMU: two IMUs on a pendulum, with optical truth."""
+    import navgym
+
+    rows, found = [], {}
+    for trial in ("Test03_Trial1", "Test05_Trial2"):
+        recording = navgym.read("repoimu", folder, trial=trial)
+        estimate = navgym.estimate("alignment", recording)
+        error = estimate.attitude_error
+        assert error is not None
+        rms = np.sqrt(np.nanmean(error[len(error) // 10 :] ** 2, axis=0)) / 60.0
+        rows.append([trial, *(f"{v:.2f}" for v in rms)])
+        found[trial] = {"attitude_rmse_degrees": rms.tolist()}
+    text = [
+        "RepoIMU (Szczęsna et al. 2016): relative attitude of two consumer IMUs against an optical reference, degrees."
+    ]
+    return Part(
+        Section(
+            "Real data: the pendulum",
+            text,
+            [Table(["trial", "x", "y", "z"], rows, "RMS error after the first tenth.")],
+        ),
+        (),
+        found,
+    )
+
+
+# ---- small helpers
+
+
+def _check_table(checks: Sequence[Check]) -> Table:
+    rows = [
+        [c.what, f"{c.found:.3f} ± {c.half:.3f}", f"{c.expected:g}", MARKS[c.verdict]]
+        for c in checks
+    ]
+    return Table(
+        ["figure", "here", "expected", ""],
+        rows,
+        "✓ within both spreads, ↓ better than expected, ✗ outside.",
+    )
+
+
+def _summary(trial: Trial) -> dict[str, Any]:
+    """A trial as JSON."""
+    return {
+        "runs": len(trial.diverged),
+        "diverged": float(np.mean(trial.diverged)),
+        "microseconds": trial.microseconds,
+        "mean": {q: _number(trial.mean(q)) for q in trial.errors.norm},
+        "axes": {q: [_number(trial.mean(q, a)) for a in range(3)] for q in trial.errors.axes},
+    }
+
+
+def _number(value: float) -> float | None:
+    return value if np.isfinite(value) else None
