@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -185,7 +185,7 @@ def _unobserved(recording: DualIMURecording, covariances: Array) -> Array:
     return weak
 
 
-def _warn(recording: DualIMURecording, unobserved: Sequence[Any]) -> None:
+def _warn(recording: DualIMURecording, unobserved: Array) -> None:
     for direction in unobserved:
         x, y, z = direction
         warnings.warn(

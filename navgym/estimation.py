@@ -70,7 +70,8 @@ def find(filter_name: str) -> Filter:
 
 def parameter_space(filter_name: str, deck: bool = False) -> ParameterSpace:
     """What can be tuned in a filter; `deck` tells the deck's oracle from the other one."""
-    everyone = DECK_CATALOGUE | CATALOGUE if not deck else CATALOGUE | DECK_CATALOGUE
+    first, then = (CATALOGUE, DECK_CATALOGUE) if deck else (DECK_CATALOGUE, CATALOGUE)
+    everyone = {**first, **then}
     return everyone[one_of("filter", filter_name, everyone)].space
 
 

@@ -10,20 +10,26 @@ import os
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from typing import Any
 
 import navgym
+import navgym.identification
 from navgym.filters.catalogue import CATALOGUE
 from navgym.turn_model import CoordinatedTurnModel
 
 ENVIRONMENT = "environment"
+DECK_ENVIRONMENT, IDENTIFICATION = "deck environment", "identification"
 # what takes longest to compile comes first, so that no process is left with it at the end
-SLOW = (ENVIRONMENT, "cukf", "bank", "qivbf")
+SLOW = (ENVIRONMENT, DECK_ENVIRONMENT, "cukf", "alignment", "bank", "qivbf", IDENTIFICATION)
 SCENARIOS = ("nominal", "position-only", "component-loss", "coordinated-turn")
 
 
 def jobs() -> list[tuple[str, str]]:
     """Pairs (what, scenario) that together touch every kernel."""
-    found = [(ENVIRONMENT, "switch-D"), (ENVIRONMENT, "position-only")]
+    found = [
+        (ENVIRONMENT, "switch-D"), (ENVIRONMENT, "position-only"), (DECK_ENVIRONMENT, "paper"),
+        ("alignment", "paper"), (IDENTIFICATION, "paper"),
+    ]  # fmt: skip
     seen = set()
     for scenario in SCENARIOS:
         model = navgym.simulate(f"auv/{scenario}", steps=3).model
@@ -39,18 +45,28 @@ def jobs() -> list[tuple[str, str]]:
 
 def compile_one(what: str, scenario: str) -> str:
     """Run one job on three samples; returns what it was."""
-    if what != ENVIRONMENT:
+    if what == ENVIRONMENT:
+        play("navgym/AUVDropout-v0", scenario=f"auv/{scenario}", overrides={"steps": 10})
+    elif what == DECK_ENVIRONMENT:
+        brief = {"duration": 4.0}
+        play("navgym/DeckDeformation-v0", scenario=f"deck/{scenario}", overrides=brief)
+    elif what == IDENTIFICATION:
+        navgym.identification.RVM().fit([0.0, 1.0, 2.0], [0.0, 1.0, 0.0])
+    elif what == "alignment":
+        navgym.estimate(what, navgym.simulate(f"deck/{scenario}", duration=4.0))
+    else:
         navgym.estimate(what, navgym.simulate(f"auv/{scenario}", steps=3))
-        return f"{what} on {scenario}"
+    return f"{what} on {scenario}"
+
+
+def play(name: str, **arguments: Any) -> None:
+    """One step of an environment."""
     import gymnasium
 
-    env = gymnasium.make(
-        "navgym/AUVDropout-v0", scenario=f"auv/{scenario}", overrides={"steps": 10}
-    )
+    env = gymnasium.make(name, **arguments)
     env.reset(seed=0)
     env.step(env.action_space.sample())
     env.close()
-    return f"environment on {scenario}"
 
 
 def main() -> None:

@@ -13,8 +13,10 @@ from pathlib import Path
 
 import gymnasium
 
-import navgym
-from navgym.scenarios import CATALOGUE, SHIFTS
+from navgym.filters.catalogue import CATALOGUE as CATALOGUE_OF_FILTERS
+from navgym.filters.catalogue import DECK_CATALOGUE as DECK_FILTERS
+from navgym.filters.catalogue import Filter
+from navgym.scenarios import CATALOGUE, DECK_CATALOGUE, SHIFTS
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 NOTE = "<!-- Written by scripts/build_docs.py: edit the code, not this page. -->\n\n"
@@ -31,13 +33,17 @@ def filters_page() -> str:
     parts = [
         NOTE + "# Filters\n",
         "`navgym.estimate(name, recording, parameters)` runs any of these; the numbers below are "
-        "what `navgym.parameter_space(name)` holds.\n",
+        "what `navgym.parameter_space(name)` holds. The second half takes recordings of two IMUs.\n",
     ]
-    for name, summary in navgym.filters().items():
-        space = navgym.parameter_space(name)
-        table = space.markdown() if len(space) else "Nothing to tune."
-        parts.append(f"## `{name}`\n\n{summary}\n\n{table}\n")
+    parts += [_filter_part(f) for f in CATALOGUE_OF_FILTERS.values()]
+    parts.append("# Filters of the deck\n")
+    parts += [_filter_part(f) for f in DECK_FILTERS.values()]
     return "\n".join(parts)
+
+
+def _filter_part(chosen: Filter) -> str:
+    table = chosen.space.markdown() if len(chosen.space) else "Nothing to tune."
+    return f"## `{chosen.name}`\n\n{chosen.summary}\n\n{table}\n"
 
 
 def scenarios_page() -> str:
@@ -52,6 +58,17 @@ def scenarios_page() -> str:
     parts += [
         f"| `auv/{s.name}` | {s.summary} | {s.steps} | {', '.join(r.name for r in s.regimes)} |"
         for s in CATALOGUE.values()
+    ]
+    parts += [
+        "\n## Deck\n",
+        "A `DualIMURecording`; times in seconds, dwell being the time in a regime.\n",
+        "| scenario | what happens | duration | regimes | dwell |",
+        "|---|---|---|---|---|",
+    ]
+    parts += [
+        f"| `deck/{s.name}` | {s.summary} | {s.duration:g} | {', '.join(r.name for r in s.regimes)} | "
+        f"{s.dwell[0]:g} |"
+        for s in DECK_CATALOGUE.values()
     ]
     parts += [
         "\n## Shifts\n",

@@ -134,7 +134,7 @@ class DeckDeformationEnv(LaneEnv):
         features: str = "all",
         warmup: float = 60.0,
         ac_weight: float = 0.5,
-        theta_price: float = 0.5,
+        theta_price: float = 1.0,
         render_mode: str | None = None,
     ) -> None:
         mode = checked_render_mode(render_mode)

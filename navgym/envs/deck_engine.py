@@ -39,7 +39,7 @@ class DeckSettings(LaneSettings):
     features: str = "all"
     warmup: float = 60.0
     ac_weight: float = 0.5
-    theta_price: float = 0.5
+    theta_price: float = 1.0
 
     SPACE = spaces.IDAM
     REWARDS = ("composite", "absolute", "likelihood")

@@ -17,7 +17,9 @@ from navgym.flexure import FlexureModel
 from navgym.increments import increments_of, rodrigues
 from navgym.parameters import ParameterSpace
 
-PRIOR_SPREAD = 0.5  # of ln b, ln 2μ and ln σ about the believed model: what shrinkage leans on
+# What shrinkage leans on: spread of (ln 2μ, ln b², ln σ) about the believed model, and how far fits miss
+# the sampling limit. Wider, identification costs more in a steady sea than it wins in a changing one.
+PRIOR_SPREAD, SAMPLING = 0.3, 2.0
 
 
 @dataclass(frozen=True)
@@ -145,8 +147,9 @@ def _run_identifying(
         ends = np.minimum(ends + every, batch.lengths)
         lanes["length"] = ends
         kernels.run(lanes, models, *world, *outputs.values())
-        for i in np.flatnonzero(ends < batch.lengths):
-            row = min(int(ends[i]) // world[3], table.shape[1] - 1)
+        for i in map(int, np.flatnonzero(ends < batch.lengths)):
+            end = int(ends[i])
+            row = min(end // world[3], table.shape[1] - 1)
             options = dict(zip(chosen.space.names, table[min(i, len(table) - 1), row], strict=True))
             believed = batch.recordings[i].model.flexure
             found = identify_lane(
@@ -159,7 +162,7 @@ def _run_identifying(
                 options,
             )
             if found is not None:
-                flexures[i].append(Identified(int(ends[i]), found))
+                flexures[i].append(Identified(end, found))
                 put_flexure(chosen.option, batch, int(i), models, found)
 
 
@@ -200,7 +203,7 @@ def identify_lane(
         found = identify(option.method, increments, dt, **own)
     except ValueError:
         return None
-    return found if option.printed else shrink(found, believed, PRIOR_SPREAD)
+    return found if option.printed else shrink(found, believed, PRIOR_SPREAD, SAMPLING)
 
 
 def put_flexure(

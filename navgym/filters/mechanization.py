@@ -50,10 +50,10 @@ def tapes_of(recordings: Sequence[DualIMURecording]) -> tuple[NDArray[Any], NDAr
 
 def write_tape(recording: DualIMURecording, tape: NDArray[Any]) -> None:
     """Fill `tape` (K,) from one recording."""
-    imu, filled = _filled(recording)
+    (main_angle, main_velocity, sub_angle, sub_velocity), filled = _filled(recording)
     disturbance = recording.disturbance
     mechanize(
-        *imu, filled, recording.model.lever_arm, recording.interval,
+        main_angle, main_velocity, sub_angle, sub_velocity, filled, recording.model.lever_arm, recording.interval,
         np.empty((0, 6)) if disturbance is None else disturbance, tape,
     )  # fmt: skip
     for name in ("theta", "theta_rate"):

@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from navgym._checks import Array, real_array
+from navgym._checks import Array, real_array, within
 from navgym.flexure import FlexureModel
 
 
 def shrink(
-    model: FlexureModel, prior: FlexureModel, spread: ArrayLike | None = None
+    model: FlexureModel,
+    prior: FlexureModel,
+    spread: ArrayLike | None = None,
+    sampling: float = 0.0,
 ) -> FlexureModel:
     """Weigh an identified model and a prior one by their precisions, in logarithms.
 
@@ -24,6 +27,9 @@ def shrink(
         prior: believed before, such as the identification of a longer record.
         spread: how far the truth may be from the prior, as standard deviations of (ln 2μ, ln b²,
             ln σ): a number, (3,), or (3, 3) with an axis per row; by default `prior.deviation`.
+        sampling: multiple of the sampling limit of (ln 2μ, ln b², ln σ) under the prior,
+            (2, 2, 1)/√(bW) for a record of W seconds, to add to the model's own deviation. A fit that
+            went wrong claims a certainty that is wrong too; this one does not depend on it.
 
     Returns:
         The model between both, with its `deviation` and `diagnostics["covariance"]`.
@@ -32,7 +38,7 @@ def shrink(
         ValueError: no deviation, or a spread that is not positive.
     """
     believed = _spread(prior, spread)
-    own = _covariance(model)
+    own = _covariance(model) + _limit(model, prior, within("sampling", sampling, 0.0))
     m, p = _logarithms(model), _logarithms(prior)
     posterior = np.empty((3, 3, 3))
     mean = np.empty((3, 3))
@@ -49,6 +55,17 @@ def shrink(
         evidence=model.evidence,
         diagnostics={**model.diagnostics, "covariance": posterior},
     )  # fmt: skip
+
+
+def _limit(model: FlexureModel, prior: FlexureModel, multiple: float) -> Array:
+    """(3, 3, 3) covariance of the sampling limit under the prior, times `multiple` squared."""
+    if multiple == 0.0:
+        return np.zeros((3, 3, 3))
+    if "duration" not in model.diagnostics:
+        raise ValueError("sampling needs a model that `identify` made: its record has a duration.")
+    limit = 1.0 / np.sqrt(np.sqrt(prior.stiffness) * model.diagnostics["duration"])
+    each = multiple * limit[:, None] * np.array([2.0, 2.0, 1.0])
+    return np.asarray(each[:, :, None] * each[:, None, :] * np.eye(3))
 
 
 def _logarithms(model: FlexureModel) -> Array:

@@ -61,7 +61,10 @@ def _one(scenario: DeckScenario, seed: int) -> DualIMURecording:
     meta = {"scenario": f"deck/{scenario.name}", "regimes": [r.name for r in scenario.regimes]}
     return DualIMURecording(
         np.arange(1, T + 1) / scenario.rate,
-        *motion,
+        main_angle=motion[0],
+        main_velocity=motion[1],
+        sub_angle=motion[2],
+        sub_velocity=motion[3],
         model=DeckModel(believed.flexure, lever, s),
         theta=theta[1:],
         theta_rate=rate[1:],

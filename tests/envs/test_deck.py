@@ -73,7 +73,7 @@ def test_an_episode_is_the_filter_run_on_a_schedule(interval):
         rate, ac, theta = (
             (a[part] - b[part]).mean() / m for a, b, m in zip(ours, theirs, means, strict=True)
         )
-        reward = np.clip(-(rate + 0.5 * ac + 0.5 * max(theta, 0.0)), -20, 20)
+        reward = np.clip(-(rate + 0.5 * ac + max(theta, 0.0)), -20, 20)
         assert outcome[1] == pytest.approx(reward, rel=1e-6, abs=1e-8)
         assert outcome[4]["theta_rate_rmse"] == pytest.approx(np.sqrt(ours[0][part].mean()))
         assert outcome[4]["reference_theta_rmse"] == pytest.approx(np.sqrt(theirs[2][part].mean()))

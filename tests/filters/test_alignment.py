@@ -211,11 +211,12 @@ def test_correntropy_tends_to_the_kalman_filter_as_one_over_width_squared(calm):
     assert ratios[1:] == pytest.approx([4.0, 4.0], rel=0.05)
 
 
-def test_a_width_of_fifty_is_exactly_off(calm):
-    off, beyond, below = (
-        run_alignment([calm], kernel_width=w) for w in (50.0, 1e9, np.nextafter(50.0, 0.0))
+def test_a_width_of_fifty_is_exactly_off_rounding_included(calm):
+    off, beyond, rounded, below = (
+        run_alignment([calm], kernel_width=w) for w in (50.0, 1e9, 50.0 - 1e-13, 49.99)
     )
     np.testing.assert_array_equal(off["states"], beyond["states"])
+    np.testing.assert_array_equal(off["states"], rounded["states"])
     np.testing.assert_array_equal(off["weights"], 1.0)
     assert (off["states"] != below["states"]).any()
 
@@ -382,6 +383,24 @@ def test_errors_of_theta_are_as_large_as_the_filter_says(long):
     # a mean over the step is a datum on its end whose noise is not independent of Q: the filter
     # takes it for such, and is too sure of θ̇ by a fifth
     assert 1.0 < nees(error[..., 3:], P[..., 3:, 3:]) < 1.7
+
+
+def test_errors_of_the_attitude_are_no_larger_than_the_filter_says(long):
+    """2l + φ is the attitude's error, small l; r_V is wide, so the filter errs on the safe side."""
+    recordings = long[0][:20]
+    lanes, models, tapes, row = prepare(recordings, velocity_noise=2.0)
+    out, found = outputs_for(tapes, False), []
+    true = [r.at_steps(r.reference) for r in recordings]
+    J = np.hstack([2.0 * np.eye(3), np.zeros((3, 3)), np.eye(3), np.zeros((3, 15))])
+    for end in (2000, 4000, 6000):
+        lanes["length"] = end
+        kernels.run(lanes, models, tapes, rule_of(judged=0), row, 1, *none(len(lanes)), *out)
+        for q, lane, tape in zip(true, lanes, tapes[:, end - 1 : end], strict=True):
+            estimated, _ = attitudes(tape, lane["x"][None])
+            error = attitude_error(estimated, q[end - 1 : end])[0] * ARCMIN
+            error = twin.attitude(tape["q_m"][0]) @ error
+            found.append(error @ np.linalg.solve(J @ lane["P"] @ J.T, error) / 3.0)
+    assert 0.3 < np.mean(found) < 1.2
 
 
 def test_theta_is_unknown_to_its_sigma_before_the_model_has_told_anything():

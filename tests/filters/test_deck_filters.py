@@ -221,7 +221,7 @@ def test_identifying_filters_keep_the_believed_model_over_their_first_window(nam
     """Nothing is identified before a window is full."""
     if not hasattr(importlib.import_module("navgym.identification"), "identify"):
         pytest.skip("navgym.identification is not complete")
-    found = navgym.estimate(name, switching, {"identification_window": 30.0})
+    found = navgym.estimate(name, switching)
     assert found.flexures == ()
     if name != "idam_printed":
         given = DECK_CATALOGUE[name].space.defaults

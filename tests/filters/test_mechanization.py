@@ -13,6 +13,7 @@ from navgym.deck_batch import DeckBatch
 from navgym.deck_estimation import attitude_error, attitudes
 from navgym.deck_model import DeckModel, lever_matrix
 from navgym.dual_imu import GRAVITY, DualIMURecording
+from navgym.filters.alignment import pack
 from navgym.filters.mechanization import TAPE, coarse_alignment, tapes_of
 from navgym.flexure import ARCMIN
 from navgym.scenarios.deck import NO_ERRORS
@@ -336,6 +337,30 @@ def test_a_recording_that_begins_with_a_gap_stays_finite(ship):
         assert tape["gap"][:3].tolist() == [5, 2, 0]
         for name in ("V_s", "V_m", "q_s", "q_m", "w_s", "w_m", "omega"):
             assert np.isfinite(tape[name]).all()
+
+
+@pytest.mark.parametrize("every", [100, 40, 7])
+def test_scattered_losses_leave_enough_to_align_by(every, ship):
+    """One sample lost in each second spoils no second's mean."""
+    changes = {name: getattr(ship, name).copy() for name in SUB}
+    for stream in changes.values():
+        stream[every // 2 :: every] = np.nan
+    gone = replace(ship, **changes)
+    wanted = Rotation.from_rotvec(ship.static + 0.0)
+    assert (coarse_alignment(gone).inv() * wanted).magnitude() / ARCMIN < 60.0
+    tape = tape_of(gone)
+    assert tape["gap"].sum() == len(range(every // 2, 6000, every))
+    whole = tape_of(ship)
+    assert (quaternions(tape, "q_s").inv() * quaternions(whole, "q_s")).magnitude().max() < 0.01
+
+
+@pytest.mark.parametrize("lost", [(0,), (1,), (2,), (0, 1, 2)])
+def test_a_filter_starts_from_the_rate_that_the_mechanisation_starts_from(lost, ship):
+    """V_r counts from the rate at the start, which a lost sample must not double or erase."""
+    angle = ship.main_angle.copy()
+    angle[list(lost)] = np.nan
+    omega = pack(replace(ship, main_angle=angle))["omega"][0]
+    np.testing.assert_allclose(omega, pack(ship)["omega"][0], atol=0.03)
 
 
 def test_estimates_survive_a_gap(ship):

@@ -379,11 +379,11 @@ def test_white_noise_has_its_density():
 
 def test_biases_are_constant_and_have_their_size():
     only = ImuErrors(0.01, 0.0, 50.0, 0.0, 0.0, 0.0)
-    error = increments_error(range(300), duration=0.2, main=only.scaled(0.1), sub=only) * 100.0
+    error = increments_error(range(150), duration=0.2, main=only.scaled(0.1), sub=only) * 100.0
     assert np.abs(error - error[:, :, :1]).max() < 1e-11
     gyro, accelerometer = 0.01 * DEGREE_PER_HOUR, 50.0 * MICRO_G
     wanted = np.array([gyro / 10, accelerometer / 10, gyro, accelerometer])[:, None]
-    low, high = chi_square_band(300)
+    low, high = chi_square_band(150)
     power = (error[:, :, 0] ** 2).mean(axis=1) / wanted**2
     assert (low < power).all()
     assert (power < high).all()

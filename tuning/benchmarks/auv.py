@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import statistics
 from typing import Any
@@ -26,7 +27,8 @@ def single_environment(rounds: int) -> list[Row]:
     steps = 8000
     what = "single env, decision_interval 1, 5 sweeps, against CartPole-v1"
     rows = []
-    for kind, arguments in (("pool of 64 recordings", {"pool": 64}), ("new recordings", {})):
+    pools: dict[str, Any] = {"pool of 64 recordings": {"pool": 64}, "new recordings": {}}
+    for kind, arguments in pools.items():
         ours = gymnasium.make(
             ENV, decision_interval=1, action_parameters=THREE, reference=FIVE_SWEEPS, **arguments
         )
@@ -156,7 +158,8 @@ def filters_table(rounds: int) -> list[Row]:
             run(name, batch)
         except ValueError:
             continue
-        cost = statistics.median(seconds(lambda n=name: run(n, batch)) for _ in range(rounds))
+        task = functools.partial(run, name, batch)
+        cost = statistics.median(seconds(task) for _ in range(rounds))
         rows.append(Row(f"filter {name}", "told", f"{cost / batch.lost[..., 0].size * 1e6:.2f} µs"))
     return rows
 

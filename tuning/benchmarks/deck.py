@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import statistics
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium
@@ -207,5 +208,7 @@ def start_up(rounds: int) -> Row:
 
 def deck(rounds: int) -> list[Row]:
     """Every figure of the deck half."""
-    parts = [filtering, environments, vectors, identifications, filters_table, start_up]
+    parts: list[Callable[[int], Row | list[Row]]] = [
+        filtering, environments, vectors, identifications, filters_table, start_up,
+    ]  # fmt: skip
     return measured(parts, rounds)
