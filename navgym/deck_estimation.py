@@ -21,7 +21,7 @@ from navgym.increments import rodrigues
 from navgym.parameters import parameter_table
 
 DECISION_SECONDS = 1.0  # per row of a parameter schedule, as in the environment
-UNOBSERVED = 0.5  # share of the initial standard deviation that counts as nothing learnt
+UNOBSERVED = np.radians(0.5)  # standard deviation of an attitude that counts as not observed
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ def estimate_deck(
     states, wide = found["states"][0], found["wide"][0]
     attitude, static = attitudes(batch.tapes[0], states)
     reference = recording.reference
-    unobserved = _unobserved(recording, found["covariances"][0])
+    unobserved = _unobserved(found["covariances"][0])
     _warn(recording, unobserved)
     return DeckEstimate(
         time=recording.step_time,
@@ -173,15 +173,13 @@ def attitude_error(attitude: Array, reference: Array) -> Array:
     return error
 
 
-def _unobserved(recording: DualIMURecording, covariances: Array) -> Array:
-    """Directions in which the covariance of l has not shrunk."""
+def _unobserved(covariances: Array) -> Array:
+    """Directions in which 2 l is still known to degrees only."""
     last = covariances[-1, :3, :3]
     if not np.isfinite(last).all():
         return np.empty((0, 3))
     values, vectors = np.linalg.eigh(last)
-    weak: Array = vectors.T[
-        np.sqrt(np.maximum(values, 0.0)) > UNOBSERVED * recording.model.misalignment
-    ]
+    weak: Array = vectors.T[2.0 * np.sqrt(np.maximum(values, 0.0)) > UNOBSERVED]
     return weak
 
 
@@ -190,8 +188,7 @@ def _warn(recording: DualIMURecording, unobserved: Array) -> None:
         x, y, z = direction
         warnings.warn(
             f"the attitude about ({x:.2f}, {y:.2f}, {z:.2f}) (main IMU's axes at the start) cannot be "
-            "observed in this recording: its estimate is the initial guess. It takes motion about "
-            "other axes.",
+            "observed in this recording and is known to some degrees only. It takes motion about other axes.",
             stacklevel=4,
         )
     filled = int(recording.gaps.sum())

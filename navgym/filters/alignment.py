@@ -25,6 +25,7 @@ from navgym._checks import Array
 from navgym._compile import kernel, part
 from navgym.deck_model import DeckModel, lever_matrix
 from navgym.dual_imu import DualIMURecording
+from navgym.filters.mechanization import filled
 from navgym.flexure import FlexureModel
 
 STATES, MEASUREMENTS = 24, 6
@@ -118,7 +119,7 @@ def pack(
     packed["accelerometer"] = model.accelerometer_noise**2 * dt
     packed["rate"] = model.rate_noise**2
     packed["start"] = _start(model)
-    h, a = recording.interval, np.nan_to_num(recording.main_angle[:3])
+    h, a = recording.interval, filled(recording)[0][0][:3]
     packed["omega"] = (11.0 * a[0] - 7.0 * a[1] + 2.0 * a[2]) / (6.0 * h)
     for record, flexure in zip(packed, chosen, strict=True):
         write_flexure(record, flexure)

@@ -50,10 +50,10 @@ def tapes_of(recordings: Sequence[DualIMURecording]) -> tuple[NDArray[Any], NDAr
 
 def write_tape(recording: DualIMURecording, tape: NDArray[Any]) -> None:
     """Fill `tape` (K,) from one recording."""
-    (main_angle, main_velocity, sub_angle, sub_velocity), filled = _filled(recording)
+    (main_angle, main_velocity, sub_angle, sub_velocity), made_up = filled(recording)
     disturbance = recording.disturbance
     mechanize(
-        main_angle, main_velocity, sub_angle, sub_velocity, filled, recording.model.lever_arm, recording.interval,
+        main_angle, main_velocity, sub_angle, sub_velocity, made_up, recording.model.lever_arm, recording.interval,
         np.empty((0, 6)) if disturbance is None else disturbance, tape,
     )  # fmt: skip
     for name in ("theta", "theta_rate"):
@@ -66,25 +66,23 @@ def write_tape(recording: DualIMURecording, tape: NDArray[Any]) -> None:
 def coarse_alignment(recording: DualIMURecording) -> Rotation:
     """Attitude of the sub in the main IMU's axes that best maps rates and forces onto each other.
 
-    Wahba's problem over one-second means of rates and of changes of specific force, each kind at
-    unit weight in all. Good to some arcminutes where both IMUs move; the dynamic deformation is its noise.
+    Wahba's problem over one-second means of rates and of specific forces, each kind at unit weight in
+    all, over the samples that both IMUs have. Good to some arcminutes where both IMUs move; the dynamic deformation is its noise.
     """
     block = max(1, round(1.0 / recording.interval))
     count = len(recording) // block
     pairs = []
     for kind in ("angle", "velocity"):
-        sides = []
-        for imu in ("main", "sub"):
-            x = getattr(recording, f"{imu}_{kind}")[: count * block]
-            sides.append(x.reshape(count, block, 3).sum(axis=1))
-        good = np.isfinite(sides[0]).all(axis=1) & np.isfinite(sides[1]).all(axis=1)
-        size = np.linalg.norm(sides[0][good]) or 1.0
-        pairs.append([side[good] / size for side in sides])
+        sides = [getattr(recording, f"{imu}_{kind}")[: count * block] for imu in ("main", "sub")]
+        good = np.isfinite(np.hstack(sides)).all(axis=1, keepdims=True)
+        left, right = (np.where(good, x, 0.0).reshape(count, block, 3).sum(axis=1) for x in sides)
+        size = np.linalg.norm(left) or 1.0
+        pairs.append([left / size, right / size])
     main, sub = (np.concatenate([p[i] for p in pairs]) for i in range(2))
     return Rotation.align_vectors(main, sub)[0]
 
 
-def _filled(recording: DualIMURecording) -> tuple[list[Array], NDArray[np.bool_]]:
+def filled(recording: DualIMURecording) -> tuple[list[Array], NDArray[np.bool_]]:
     """The four streams without NaN, and which samples (T,) were filled in.
 
     A missing sample of one IMU is taken from the other by the coarse alignment; where both are
@@ -92,9 +90,9 @@ def _filled(recording: DualIMURecording) -> tuple[list[Array], NDArray[np.bool_]
     """
     names = ("main_angle", "main_velocity", "sub_angle", "sub_velocity")
     streams = [getattr(recording, name) for name in names]
-    filled = recording.gaps
-    if not filled.any():
-        return streams, filled
+    made_up = recording.gaps
+    if not made_up.any():
+        return streams, made_up
     turn = coarse_alignment(recording)
     whole = [s.copy() for s in streams]
     for i, s in enumerate(streams):
@@ -104,7 +102,7 @@ def _filled(recording: DualIMURecording) -> tuple[list[Array], NDArray[np.bool_]
         missing = np.isnan(whole[i]).any(axis=1)
         last = np.maximum.accumulate(np.where(missing, 0, np.arange(len(s))))
         whole[i] = np.nan_to_num(whole[i][last])
-    return whole, filled
+    return whole, made_up
 
 
 @part
@@ -155,10 +153,10 @@ def advance(q, angle, velocity, last_angle, last_velocity, V, mean):
     scale = 1.5 - 0.5 * (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     for i in range(4):
         q[i] *= scale
-    # the mean rate over the sample in inertial axes: turning by half the way is exact to h²
+    # the mean rate over the sample in inertial axes: turned by half the way, the coning term twice
     for i in range(3):
         n, m = (i + 1) % 3, (i + 2) % 3
-        v[i] = r[i] - 0.5 * (angle[n] * r[m] - angle[m] * r[n])
+        v[i] = 2.0 * r[i] - angle[i] - 0.5 * (angle[n] * r[m] - angle[m] * r[n])
     turn(q, v, turned)
     for i in range(3):
         mean[i] += turned[i]
