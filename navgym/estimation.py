@@ -118,8 +118,10 @@ def estimate(
     """
     if not isinstance(recording, Recording):
         from navgym.deck_estimation import estimate_deck
+        from navgym.dual_imu import DualIMURecording
 
-        return estimate_deck(filter_name, recording, parameters, decision_interval)
+        if isinstance(recording, DualIMURecording):
+            return estimate_deck(filter_name, recording, parameters, decision_interval)
     batch = Batch.of([recording])
     decision_interval = DECISION_INTERVAL if decision_interval is None else decision_interval
     result = run(filter_name, batch, parameters, decision_interval, everything=True)

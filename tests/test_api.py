@@ -14,6 +14,16 @@ CLASSES = {
     "Recording": ("time", "measurements", "lost", "truth", "regime", "model", "meta"),
     "LinearModel": ("F", "dt", "H", "Q", "R", "x0", "P0"),
     "Estimate": ("states", "covariances", "innovations", "nis", "diverged"),
+    "DualIMURecording": (
+        "time", "main_angle", "main_velocity", "sub_angle", "sub_velocity", "model", "theta",
+        "theta_rate", "static", "attitude", "regime", "meta",
+    ),
+    "DeckModel": ("flexure", "lever_arm", "samples_per_step", "misalignment"),
+    "FlexureModel": ("damping", "stiffness", "sigma", "deviation", "evidence", "diagnostics"),
+    "DeckEstimate": (
+        "attitude", "attitude_error", "static", "theta", "theta_rate", "covariances", "weights",
+        "innovations", "diverged", "unobserved",
+    ),
     "Parameter": (
         "name", "symbol", "unit", "low", "high", "scale", "default", "integer", "equation",
     ),
@@ -27,6 +37,8 @@ FUNCTIONS = {
     "parameter_space": ("filter_name",),
     "seeds": ("split", "count"),
     "read": (),
+    "identify": ("method", "increments", "interval"),
+    "flexure_increments": ("recording",),
 }
 FILTERS = (
     "kf", "kf_zero", "kf_hold", "kf_extrapolate", "vbakf", "qivbf", "qivbf_printed", "imm",

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 import navgym
 from navgym.batch import Batch
 from navgym.estimation import run
+from navgym.filters.catalogue import CATALOGUE
 from tests.helpers import NAMES, identical
 
 RECORDING = navgym.simulate("auv/switch-D", 1, steps=83)
@@ -100,7 +101,7 @@ def test_each_recording_may_have_parameters_of_its_own(name):
 
 
 def test_estimates_of_the_catalogue_have_the_documented_shapes():
-    for name in navgym.filters():
+    for name in CATALOGUE:
         found = navgym.estimate(name, RECORDING)
         assert found.states.shape == (83, 4)
         assert found.covariances.shape == (83, 4, 4)
@@ -111,7 +112,7 @@ def test_estimates_of_the_catalogue_have_the_documented_shapes():
 
 def test_innovations_and_nis_are_nan_exactly_where_nothing_was_received():
     recording = navgym.simulate("auv/component-loss", 0, steps=200)
-    for name in navgym.filters():
+    for name in CATALOGUE:
         found = navgym.estimate(name, recording)
         if name != "qivbf_printed":
             np.testing.assert_array_equal(np.isnan(found.innovations), recording.lost)
@@ -140,7 +141,7 @@ def with_scales(scale):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", [name for name in navgym.filters() if name != "oracle"])
+@pytest.mark.parametrize("name", [name for name in CATALOGUE if name != "oracle"])
 def test_no_filter_but_the_oracle_reads_the_true_scales(name):
     a, b = (with_scales(scale) for scale in (np.ones(83), np.full(83, 50.0)))
     identical(navgym.estimate(name, a), navgym.estimate(name, b))

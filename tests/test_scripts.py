@@ -144,11 +144,12 @@ def test_bad_input_is_one_line(tmp_path, arguments, message):
 
 
 @pytest.mark.slow
-def test_the_reproduction_runs_end_to_end(tmp_path):
-    code, out, err = run("scripts/reproduce.py", "auv", "--quick", "--out", tmp_path)
+@pytest.mark.parametrize("half", ["auv", "deck"])
+def test_the_reproduction_runs_end_to_end(half, tmp_path):
+    code, out, err = run("scripts/reproduce.py", half, "--quick", "--out", tmp_path)
     assert code == 0, err
-    results = json.loads((tmp_path / "auv.json").read_text())
-    html = (tmp_path / "auv.html").read_text()
+    results = json.loads((tmp_path / f"{half}.json").read_text())
+    html = (tmp_path / f"{half}.html").read_text()
     for title, part in results["parts"].items():
         assert title in html
         assert title in out

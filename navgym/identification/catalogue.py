@@ -71,6 +71,12 @@ def _model(method: str, data: Correlation, axes: list[Found]) -> FlexureModel:
     """Put three axes together."""
     zeta, b = np.exp([axis.place for axis in axes]).T
     sigma = np.array([_sigma(data, axis) for axis in axes])
+    if not (sigma > 0.0).all():
+        raise ValueError(
+            f"method {method!r} finds no flexure about axis {int(np.argmin(sigma))} in these increments: its "
+            "smoothing may be too wide for a quick motion (lower kernel_scale), or there is none (try "
+            "method 'nls')."
+        )
     covariance = np.array([_covariance(data, axes[i], i, sigma[i]) for i in range(3)])
     evidence = np.array([axis.evidence for axis in axes])
     return FlexureModel(

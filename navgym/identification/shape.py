@@ -154,10 +154,14 @@ def deviation(place: Array, sigma: float, correlation: Correlation, variance: fl
         correlation: of the record.
         variance: of the increments at lag 0, rad², gyro noise included.
     """
-    jacobian = _jacobian(place, sigma, correlation)
-    inverse = np.linalg.pinv(jacobian / sigma**2, rcond=1e-6) / sigma**2
+    limit = sampling_limit(place, correlation)
+    with np.errstate(all="ignore"):
+        slope = _jacobian(place, sigma, correlation) / sigma**2
+    if not np.isfinite(slope).all():  # an axis without flexure: σ is next to nothing
+        return limit
+    inverse = np.linalg.pinv(slope, rcond=1e-6) / sigma**2
     own = inverse @ _bartlett(place, sigma, correlation, variance) @ inverse.T
-    return _raised(LOGARITHMS @ own @ LOGARITHMS.T, sampling_limit(place, correlation))
+    return _raised(LOGARITHMS @ own @ LOGARITHMS.T, limit)
 
 
 def sampling_limit(place: Array, correlation: Correlation) -> Array:
