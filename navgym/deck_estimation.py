@@ -41,8 +41,8 @@ class DeckEstimate:
         innovation_variance: (K, 6) diagonal of S = H P⁻ Hᵀ + R.
         weights: (K, 6) of the correntropy criterion, 1 where it is off.
         model_error: (K, 3) predicted error of the flexure's acceleration, rad/s².
-        nis: (K,) normalised innovation squared under S.
-        log_likelihood: (K,) of each innovation under S.
+        nis: (K,) normalised innovation squared under S, before model prediction.
+        log_likelihood: (K,) of each innovation under S, before model prediction.
         diverged: True after a numerical failure or once innovations have run away.
         flexures: models identified on the way, with the step from which each holds.
         attitude_error: (K, 3) rotation vector from the reference attitude to the estimate, arcmin,
@@ -70,8 +70,10 @@ class DeckEstimate:
     unobserved: Array
 
 
-def find_deck(filter_name: str) -> Filter:
+def find_deck(filter_name: str | Filter) -> Filter:
     """The deck catalogue's entry; ValueError with the nearest name if there is none."""
+    if isinstance(filter_name, Filter):  # a variant of one's own
+        return filter_name
     if filter_name in CATALOGUE and filter_name not in DECK_CATALOGUE:
         raise ValueError(
             f"filter {filter_name!r} is for single recordings, and this one is of two IMUs: use one "
@@ -81,7 +83,7 @@ def find_deck(filter_name: str) -> Filter:
 
 
 def run_deck(
-    filter_name: str,
+    filter_name: str | Filter,
     batch: DeckBatch,
     parameters: Any = None,
     decision_interval: int | None = None,
@@ -122,6 +124,12 @@ def estimate_deck(
     reference = recording.reference
     unobserved = _unobserved(found["covariances"][0])
     _warn(recording, unobserved)
+    if find_deck(filter_name).option.method is not None and not found["flexures"][0]:
+        warnings.warn(
+            f"{filter_name} has identified nothing in this recording of {recording.steps * recording.step:.0f} s: "
+            "it is shorter than identification_window, or its increments show no flexure.",
+            stacklevel=3,
+        )
     return DeckEstimate(
         time=recording.step_time,
         attitude=attitude,

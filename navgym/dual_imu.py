@@ -82,9 +82,9 @@ class DualIMURecording(Frozen):
             raise TypeError(f"model must be a navgym.DeckModel, got {type(self.model)}.")
         time = _even_time(self.time)
         T = len(time)
-        if 2 * self.model.samples_per_step > T:
+        if max(2 * self.model.samples_per_step, 3) > T:
             raise ValueError(
-                f"time has {T} samples, two filter steps need {2 * self.model.samples_per_step}: "
+                f"time has {T} samples, two filter steps need {max(2 * self.model.samples_per_step, 3)}: "
                 "record longer or lower samples_per_step of the model."
             )
         arrays: dict[str, Any] = {"time": time}

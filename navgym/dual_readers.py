@@ -348,7 +348,6 @@ def read_multi_imu(
     time, *data = _on_one_clock(first, second, late)
     apart = misalignment(data[0], data[2])
     believed = QUADROTOR if model is None else model
-    apart = misalignment(data[0], data[2])
     return DualIMURecording.from_rates(
         time,
         *data,

@@ -196,7 +196,7 @@ class ParameterSpace:
         if parameter.at_start and (column != column[0]).any():
             raise ValueError(
                 f"{parameter.name} acts at the start only, so that it cannot change on the way, got "
-                f"{value!r}: give one number."
+                f"{len(column)} values from {column.min():g} to {column.max():g}: give one number."
             )
         return column
 

@@ -1,7 +1,7 @@
 """Run the published and the prototype's figures again, and say which of them hold.
 
     python scripts/reproduce.py auv            about five minutes on one core
-    python scripts/reproduce.py deck           about five minutes on one core
+    python scripts/reproduce.py deck           about 20 minutes on one core, most of it whale optimisation
     python scripts/reproduce.py auv --quick    every part on a few recordings: shows that it runs,
                                                and its figures mean nothing
 

@@ -205,3 +205,10 @@ def test_warnings_point_at_the_callers_line(ship):
     with pytest.warns(UserWarning, match="1 of 6000 IMU samples are missing") as caught:
         navgym.estimate("alignment", replace(ship, sub_angle=angle))
     assert [w.filename for w in caught] == [__file__]
+
+
+def test_a_filter_that_identified_nothing_says_so():
+    brief = navgym.simulate("deck/paper", seed=0, duration=30.0)
+    with pytest.warns(UserWarning, match="identified nothing in this recording of 30 s"):
+        found = navgym.estimate("idam", brief)
+    assert found.flexures == ()

@@ -13,6 +13,7 @@ from navgym._checks import Array
 from navgym.deck_batch import DeckBatch
 from navgym.deck_estimation import run_deck
 from navgym.dual_imu import DualIMURecording
+from navgym.filters.catalogue import Filter
 from navgym.metrics import PairedDifference, paired_difference
 from navgym.metrics.deck import DeckErrors, deck_errors
 from navgym.scenarios import seeds
@@ -51,7 +52,7 @@ class DeckCases:
 
     def try_out(
         self,
-        filter_name: str,
+        filter_name: str | Filter,
         parameters: Any = None,
         decision_interval: int | None = None,
         attitude: bool = True,

@@ -12,7 +12,6 @@ SPREAD = 0.12  # half-width of a prototype's figure, as a share of it
 
 # IDAM figure 6: RMSE of the z-axis attitude, one run
 PAPER_Z: Mapping[str, float] = {"idam": 4.260, "woam": 5.032, "svram": 6.560}
-PAPER_SIGMA = 10.0  # of θ_z, arcmin
 
 # B2: true flexure, r_V = 2 m/s, 300 s scored from 60 s
 ORACLE_THETA = (1.85, 1.39, 3.99)

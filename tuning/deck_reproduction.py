@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from navgym._checks import Array
 from navgym.deck_batch import DeckBatch
 from navgym.dual_imu import DualIMURecording
+from navgym.filters.catalogue import DECK_CATALOGUE, Filter
 from navgym.flexure import ARCMIN, FlexureModel
 from navgym.identification import METHODS, identify
 from navgym.increments import flexure_increments
@@ -27,10 +28,10 @@ from tuning.report import Figure, Section, Table
 from tuning.reproduction import MARKS, Part
 
 AXES = ("x", "y", "z")
-SEEDS_NEEDED = 45  # paired runs that the issue asks for
 WIDTHS = (2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 50.0)
 SCHEDULE = (50.0, 50.0, 50.0, 2.0)  # calm, swell, slam, glitch
 LATE = (20.0, 20.0, 20.0, 2.0)
+METHODS_COMPARED = ("idam", "woam", "svram")
 SCALES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 
 
@@ -85,7 +86,9 @@ def comparison(size: Size) -> Part:
     trials = {
         "alignment, flexure known": known.try_out("alignment"),
         "alignment, guess": cases.try_out("alignment"),
-        **{name: cases.try_out(name) for name in ("idam", "woam", "svram", "idam_printed")},
+        **{name: cases.try_out(_unshrunk(name)) for name in METHODS_COMPARED},
+        "idam_printed": cases.try_out("idam_printed"),
+        "idam, shrunk": cases.try_out("idam"),
     }
     rows = [_comparison_row(name, t, trials["idam"]) for name, t in trials.items()]
     head = [
@@ -115,6 +118,12 @@ def comparison(size: Size) -> Part:
         [_bars(trials), Table(head, rows, caption)],
     )
     return Part(section, (check,), found)
+
+
+def _unshrunk(name: str) -> Filter:
+    """A filter of the catalogue that believes what it identifies, and nothing else."""
+    chosen = DECK_CATALOGUE[name]
+    return replace(chosen, option=replace(chosen.option, shrunk=False))
 
 
 def _believing(batch: DeckBatch, flexure: FlexureModel) -> DeckBatch:
@@ -176,7 +185,7 @@ def _verdict(trials: Mapping[str, Trial]) -> list[str]:
         f"The paper's 4.260′ is what the model allows at all: σ/√(1 + βt/4) is {bound[0]:.2f}′ at 60 s and "
         f"{bound[1]:.2f}′ at 300 s for an axis of σ = 10′, τ = 30 s, whatever the filter; here idam has "
         f"{idam.mean('theta', 2):.2f}′ with a deviation of {sd:.2f}′ from seed to seed.",
-        "**What does not hold:** the order IDAM < WOAM < SVRAM as a property of the methods. "
+        "**The order IDAM < WOAM < SVRAM**, each filter believing what it identifies and nothing else: "
         + " ".join(claims),
         "**What holds:** the filter measures the deck's total attitude to "
         f"{trials['alignment, flexure known'].mean('attitude'):.2f}′, and identification on line leaves that "
@@ -470,13 +479,28 @@ def robustness(size: Size) -> Part:
         for w, t in mpf.items()
     ]
     found |= {f"MPF weight {w:g}": _summary(t) for w, t in mpf.items()}
+    predicted = {
+        name: tuple(
+            each.try_out(
+                "idam", {"model_error_weight": w, "identification_window": 600.0}, attitude=False
+            )
+            for w in (1e6, 10.0)
+        )
+        for name, each in cases.items()
+    }
     d = mpf[10.0].against(mpf[1e6], "theta")
     text = [
         "A narrow kernel rejects glitches, which is right, and slams, which is wrong: the gyros see them correctly. "
         "One fixed width serves one of them; that conflict is what an agent can win.",
         f"Weights judged by R alone, as printed, lock the filter out: `idam_printed` at width 2 has {printed.mean('theta'):.1f}′ of θ under slams "
         f"({100 * printed.diverged.mean():.0f} % diverged).",
-        f"Model prediction at weight 10 changes θ by {d.mean_difference:+.2f}′ ({d.low:+.2f} to {d.high:+.2f}); off is the default.",
+        f"Model prediction at weight 10 changes θ by {d.mean_difference:+.2f}′ ({d.low:+.2f} to {d.high:+.2f}); off is the default. With a kernel of width 10 it helps under slams, since it moves the prediction before weights are "
+        "given, and ruins the filter under glitches, which it believes for the same reason: "
+        + "; ".join(
+            f"{n}: θ̇ {off.mean('theta_rate'):.2f} off, {on.mean('theta_rate'):.2f} at weight 10"
+            for n, (off, on) in predicted.items()
+        )
+        + ".",
     ]
     return Part(
         Section("B2. Correntropy and model prediction", text, [

@@ -40,7 +40,7 @@ class DeckDeformationEnv(LaneEnv):
     {parameters}
 
     With `rvm_kernel_scale` among the action's parameters, each lane identifies the flexure anew
-    after every `identification_window` (of the reference, 120 s by default), as `idam` does.
+    after every `identification_window` (of the reference, 120 s by default) that ends after the warm-up.
 
     ## Observation Space
     `Box(-5, 5, (14 + k,), float32)`, or `(8 + k,)` with `features="gyro"`, which drops the first six.
@@ -61,10 +61,11 @@ class DeckDeformationEnv(LaneEnv):
     `reward="composite"` (default): minus the sum of three terms, clipped to plus or minus
     `reward_clip`. Each compares the filter with the reference on the same recording: its mean squared
     error over the decision less the reference's, over the reference's mean over the recording. The first
-    is θ̇; the second, times `ac_weight`, is θ less its running mean over 60 s (what gyros can see);
+    is θ̇; the second, times `ac_weight`, is θ, its error less the error's running mean over 60 s (what gyros can see; causal here, where
+    `navgym.metrics.deck` centres it);
     the third, times `theta_price`, is θ itself, and counts only where it is worse than the reference's,
     so that θ is not traded away. `"absolute"`: minus the RMS of θ̇'s error, arcmin/s. `"likelihood"`:
-    mean log-likelihood of the innovations, for recordings without truth.
+    mean log-likelihood of the innovations less the reference's, for recordings without truth.
 
     ## Starting State
     The reference filter runs for `warmup` seconds first: before, the filter is still finding its
@@ -94,7 +95,8 @@ class DeckDeformationEnv(LaneEnv):
         action_parameters: what the agent sets; the rest stays at the reference's.
         action: "absolute" or "residual".
         reference: parameters of the reference filter; by default the scenario's best fixed ones,
-            or the filter's defaults for recordings of your own.
+            or the filter's defaults for recordings of your own. With several scenarios each has
+            its own; residual actions start from the first one's.
         reward: "composite", "absolute" or "likelihood".
         reward_clip: bound on the reward.
         features: "all", or "gyro" to leave the velocity channels out of the observation.

@@ -120,7 +120,7 @@ class DeckEngine(LaneEngine):
             stations=np.repeat(self._station(self._row(self.reference)), lanes),
             labels=[{} for _ in range(lanes)],
             extra={
-                "scores": np.zeros((lanes, longest, K.SCORES)),
+                "scores": np.zeros((lanes, longest, K.SCORES + 1)),
                 "means": np.zeros((lanes, 1, K.SCORES)),
                 "checkpoints": np.zeros((lanes, 1), alignment.LANE),
                 "believed": np.array([self._scenarios[0].model.flexure] * lanes, dtype=object),
@@ -147,7 +147,7 @@ class DeckEngine(LaneEngine):
         stations["which"], stations["length"] = np.arange(count), batch.lengths
         lanes, checkpoints = (np.zeros(count, alignment.LANE) for _ in range(2))
         alignment.begin(lanes, models, stations["row"][:, : K.COLUMNS])
-        scores, means = np.zeros((count, steps, K.SCORES)), np.zeros((count, K.SCORES))
+        scores, means = np.zeros((count, steps, K.SCORES + 1)), np.zeros((count, K.SCORES))
         begun = stations.copy()
         checkpoints[...] = lanes
         K.rehearse(

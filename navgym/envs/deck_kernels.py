@@ -31,6 +31,7 @@ MEAN_SECONDS = 60.0  # memory of the running mean of θ's error that theta_ac ta
 
 COMPOSITE, ABSOLUTE, LIKELIHOOD = range(3)
 SCORES = 3  # squared errors of θ̇, of θ less its running mean, and of θ: arcmin²/s², arcmin²
+LOG_LIKELIHOOD = SCORES  # a fourth column of the reference's scores
 (
     RATE_RMSE, REFERENCE_RATE, AC_RMSE, REFERENCE_AC, THETA_RMSE, REFERENCE_THETA, WEIGHT, POWER,
     REGIME, TERM,
@@ -130,7 +131,7 @@ def rehearse(
         start: (R,) steps after which lanes of the environment begin.
         checkpoints: (R,) to be filled with the lane as it is then.
         starts: (R,) to be filled with the station as it is then.
-        scores: (R, K, 3) to be filled.
+        scores: (R, K, 4) to be filled; the last is the log-likelihood, if the filter judges itself.
         means: (R, 3) to be filled with the mean scores from `start` on.
     """
     nothing = np.zeros(MEASUREMENTS)
@@ -143,6 +144,7 @@ def rehearse(
                 starts[i] = stations[i]
             filter_step(station, lane, model, tapes[i, k], filter_rules[0], nothing)
             score(station, lane, tapes[i, k], model.dt, scores[i, k])
+            scores[i, k, LOG_LIKELIHOOD] = lane.log_likelihood
             for s in range(SCORES):
                 if k >= start[i]:
                     means[i, s] += scores[i, k, s] / (station.length - start[i])
@@ -213,8 +215,9 @@ def decide(
             for s in range(SCORES):
                 own[s] += error[s] / count
                 reference[s] += scores[which, k, s] / count
-            if rule.kind == LIKELIHOOD and math.isfinite(lane.log_likelihood):
-                likelihood += lane.log_likelihood / count
+            gain = lane.log_likelihood - scores[which, k, LOG_LIKELIHOOD]
+            if rule.kind == LIKELIHOOD and math.isfinite(gain):
+                likelihood += gain / count
             for c in range(MEASUREMENTS):
                 if lane.used[c]:
                     weight += lane.weight[c]

@@ -72,7 +72,13 @@ class DeckPainter:
         true = tape["theta"][:, a] / ARCMIN
         bound = engine.believed[0].split_deviation(time)[:, a] / ARCMIN
         axes.fill_between(
-            time, true - bound, true + bound, color=TRUTH, alpha=0.15, lw=0, label="bound (1σ)"
+            time,
+            true - bound,
+            true + bound,
+            color=TRUTH,
+            alpha=0.15,
+            lw=0,
+            label="bound of the believed model (1σ)",
         )
         axes.plot(time, true, color=TRUTH, lw=0.8, label="truth")
         axes.plot(time, estimate, color=ESTIMATE, lw=1.0, label="estimate")

@@ -219,8 +219,11 @@ def vector_arguments(arguments: dict[str, Any]) -> dict[str, Any]:
     """Arguments of the single environment as those of its settings."""
     if arguments.pop("render_mode", None) is not None:
         raise ValueError("the vector environment does not render: use gym.make for one lane.")
-    if "recording" in arguments:
-        arguments.setdefault("recordings", arguments.pop("recording"))
+    own = arguments.pop("recording", None)
+    if own is not None:
+        if arguments.get("recordings") is not None:
+            raise ValueError("give recording= or recordings=, not both.")
+        arguments["recordings"] = own
     return arguments
 
 

@@ -149,7 +149,7 @@ def _run_identifying(
         kernels.run(lanes, models, *world, *outputs.values())
         for i in map(int, np.flatnonzero(ends < batch.lengths)):
             end = int(ends[i])
-            row = min(end // world[3], table.shape[1] - 1)
+            row = min((end - 1) // world[3], table.shape[1] - 1)
             options = dict(zip(chosen.space.names, table[min(i, len(table) - 1), row], strict=True))
             believed = batch.recordings[i].model.flexure
             found = identify_lane(
@@ -203,7 +203,9 @@ def identify_lane(
         found = identify(option.method, increments, dt, **own)
     except ValueError:
         return None
-    return found if option.printed else shrink(found, believed, PRIOR_SPREAD, SAMPLING)
+    if option.printed or not option.shrunk:
+        return found
+    return shrink(found, believed, PRIOR_SPREAD, SAMPLING)
 
 
 def put_flexure(

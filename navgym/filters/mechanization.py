@@ -54,6 +54,7 @@ def write_tape(recording: DualIMURecording, tape: NDArray[Any]) -> None:
     disturbance = recording.disturbance
     mechanize(
         main_angle, main_velocity, sub_angle, sub_velocity, made_up, recording.model.lever_arm, recording.interval,
+        recording.model.samples_per_step,
         np.empty((0, 6)) if disturbance is None else disturbance, tape,
     )  # fmt: skip
     for name in ("theta", "theta_rate"):
@@ -100,7 +101,8 @@ def filled(recording: DualIMURecording) -> tuple[list[Array], NDArray[np.bool_]]
         other = streams[(i + 2) % 4]
         whole[i][missing] = (turn if i < 2 else turn.inv()).apply(other[missing])
         missing = np.isnan(whole[i]).any(axis=1)
-        last = np.maximum.accumulate(np.where(missing, 0, np.arange(len(s))))
+        first = int(np.argmin(missing))  # before it, the first one received is held backwards
+        last = np.maximum.accumulate(np.where(missing, first, np.arange(len(s))))
         whole[i] = np.nan_to_num(whole[i][last])
     return whole, made_up
 
@@ -164,15 +166,15 @@ def advance(q, angle, velocity, last_angle, last_velocity, V, mean):
 
 @kernel
 def mechanize(
-    main_angle, main_velocity, sub_angle, sub_velocity, filled, lever, h, disturbance, tape
+    main_angle, main_velocity, sub_angle, sub_velocity, filled, lever, h, per, disturbance, tape
 ):
-    """Fill the matching quantities of a tape (K,) from increments (T, 3) of both IMUs.
+    """Fill the matching quantities of a tape (K,) from increments (T, 3) of both IMUs, `per` of them a step.
 
     The rigid lever arm's velocity needs no derivative of a rate: ∫ C (ω×ω×r + ω̇×r) is
     C (ω × r) less its value at the start. The rate at the end of a sample is extrapolated
     through the last three increments.
     """
-    steps, per = len(tape), len(main_angle) // len(tape)
+    steps = len(tape)
     q_m, q_s = np.array([1.0, 0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
     V_m, V_s, w_m, w_s = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
     before, swing, omega = np.zeros(3), np.zeros(3), np.zeros(3)

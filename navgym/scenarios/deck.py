@@ -179,7 +179,12 @@ class DeckScenario:
             )
         span("dwell", self.dwell, 0.0, above=True)
         within("lever_error", self.lever_error, 0.0)
-        within("latitude", self.latitude, -90.0, 90.0)
+        within("latitude", self.latitude, -89.0, 89.0)
+        within("heading", self.heading, -360.0, 360.0)
+        within("speed", self.speed, 0.0)
+        for name in ("sub", "main"):
+            if not isinstance(getattr(self, name), ImuErrors):
+                raise TypeError(f"{name} must be ImuErrors, got {getattr(self, name)!r}.")
         for name in ("static", "lever_arm", "sway", "sway_rate"):
             value = real_array(name, getattr(self, name))
             if value.shape != (3,):

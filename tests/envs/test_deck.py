@@ -163,9 +163,11 @@ def test_likelihood_pays_recordings_without_truth_and_other_rewards_refuse_them(
         "kernel_width": [10.0] * 10 + [width] * 5, "velocity_noise": [0.2] * 10 + [noise] * 5,
     }  # fmt: skip
     run = navgym.estimate("alignment_mcc", blind, parameters)
+    reference = navgym.estimate("alignment_mcc", blind)
     for i, outcome in enumerate(outcomes):
         part = slice(200 + 20 * i, 220 + 20 * i)
-        assert outcome[1] == pytest.approx(run.log_likelihood[part].mean(), rel=1e-9)
+        gain = run.log_likelihood[part] - reference.log_likelihood[part]
+        assert outcome[1] == pytest.approx(gain.mean(), rel=1e-6, abs=1e-9)
         assert np.isnan(outcome[4]["theta_rmse"])
 
 
@@ -276,3 +278,19 @@ def test_the_actions_reach_the_whole_declared_range():
         info = env.step(np.full(2, action, dtype=np.float32))[4]
         for p in space:
             assert info[p.name] == pytest.approx((p.low, p.high)[end], rel=1e-6)
+
+
+def test_the_likelihood_reward_tells_actions_apart_on_ship_grade_imus():
+    env = DeckDeformationEnv(recordings=[recording_of()], reward="likelihood", **FAST)
+    narrow, wide = (
+        sum(o[1] for o in episode(env, np.full((30, 2), a, dtype=np.float32))) for a in (-1.0, 0.0)
+    )
+    assert narrow != wide
+
+
+def test_one_recording_reaches_the_batch_and_two_ways_at_once_are_refused():
+    recording = recording_of(3, duration=20.0)
+    batch = gymnasium.make_vec(ID, num_envs=2, recordings=None, recording=recording, **FAST)
+    assert list(batch.reset(seed=0)[1]["seed"]) == [3, 3]
+    with pytest.raises(ValueError, match="not both"):
+        gymnasium.make_vec(ID, num_envs=2, recordings=[recording], recording=recording)

@@ -375,3 +375,32 @@ def test_estimates_survive_a_gap(ship):
     assert error[500:600].max() < 5.0
     assert error[620:].max() < 40.0
     assert error[-100:].max() < 6.0
+
+
+def test_samples_beyond_the_last_whole_step_change_nothing():
+    """Even where more are left over than there are steps."""
+    whole = navgym.simulate("deck/paper", seed=0, duration=30.0)
+    model = replace(whole.model, samples_per_step=60)
+    names = ("time", "main_angle", "main_velocity", "sub_angle", "sub_velocity")
+    tapes = []
+    for count in (3000, 2940):
+        parts = {name: getattr(whole, name)[:count] for name in names}
+        cut = navgym.DualIMURecording(**parts, model=model, check_units=False)
+        tapes.append(tapes_of([cut])[0][0, :49])
+    longer = {name: getattr(whole, name)[:2999] for name in names}
+    tapes.append(
+        tapes_of([navgym.DualIMURecording(**longer, model=model, check_units=False)])[0][0]
+    )
+    for field in ("V_s", "w_m", "q_s", "dV"):
+        np.testing.assert_array_equal(tapes[0][field], tapes[1][field])
+        np.testing.assert_array_equal(tapes[0][field], tapes[2][field])
+
+
+def test_a_gap_at_the_start_of_both_imus_is_not_taken_for_weightlessness():
+    whole = navgym.simulate("deck/paper", seed=0, duration=10.0)
+    streams = {n: getattr(whole, n).copy() for n in ("main_velocity", "sub_velocity")}
+    for stream in streams.values():
+        stream[:50] = np.nan
+    gappy = replace(whole, check_units=False, **streams)
+    fallen = tapes_of([gappy])[0][0]["V_s"][9] - tapes_of([whole])[0][0]["V_s"][9]
+    assert np.linalg.norm(fallen) < 0.3 * 0.5  # what the filter allows for; gravity would be 4.9
