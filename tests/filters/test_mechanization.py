@@ -403,4 +403,4 @@ def test_a_gap_at_the_start_of_both_imus_is_not_taken_for_weightlessness():
         stream[:50] = np.nan
     gappy = replace(whole, check_units=False, **streams)
     fallen = tapes_of([gappy])[0][0]["V_s"][9] - tapes_of([whole])[0][0]["V_s"][9]
-    assert np.linalg.norm(fallen) < 0.3 * 0.5  # what the filter allows for; gravity would be 4.9
+    assert np.linalg.norm(fallen) < 0.4  # the sway of half a second; gravity would be 4.9
