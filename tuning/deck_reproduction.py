@@ -174,7 +174,7 @@ def _verdict(trials: Mapping[str, Trial]) -> list[str]:
             word = f"is **better** than idam by {-d.mean_difference:.2f}′ ({-d.high:.2f} to {-d.low:.2f})"
         else:
             word = f"cannot be told from idam ({d.low:+.2f} to {d.high:+.2f}′)"
-        needed = int(np.ceil((2.8 * spread / gap) ** 2)) if spread > 0.0 else 1
+        needed = max(2, int(np.ceil((2.8 * spread / gap) ** 2)))
         claims.append(
             f"`{name}` {word}; the paper has it {gap:.2f}′ worse. A single pair of runs differs by "
             f"{spread:.2f}′ (sd) from seed to seed here, so a gap of the paper's size takes {needed} paired "
@@ -188,8 +188,10 @@ def _verdict(trials: Mapping[str, Trial]) -> list[str]:
         "**The order IDAM < WOAM < SVRAM**, each filter believing what it identifies and nothing else: "
         + " ".join(claims),
         "**What holds:** the filter measures the deck's total attitude to "
-        f"{trials['alignment, flexure known'].mean('attitude'):.2f}′, and identification on line leaves that "
-        f"as it is ({idam.mean('attitude'):.2f}′): θ is not needed for the attitude.",
+        f"{trials['alignment, flexure known'].mean('attitude'):.2f}′ with the flexure known, "
+        f"{trials['alignment, guess'].mean('attitude'):.2f}′ with a guess, {idam.mean('attitude'):.2f}′ if it believes "
+        f"what it identifies and {trials['idam, shrunk'].mean('attitude'):.2f}′ if it shrinks that toward the guess, as "
+        "`idam` does: θ is hardly needed for the attitude, and two minutes are too few to identify it from.",
     ]
 
 
