@@ -39,7 +39,7 @@ def real_array(field: str, value: ArrayLike, finite: bool = True) -> Array:
     try:
         given = np.array(value)
     except ValueError:
-        shown = _short(value)
+        shown = short(value)
         raise ValueError(
             f"{field} must be an array of numbers, got {shown}: make its rows equally long."
         ) from None
@@ -48,14 +48,14 @@ def real_array(field: str, value: ArrayLike, finite: bool = True) -> Array:
         kind = "U"
     if kind in NO_NUMBERS:
         raise ValueError(
-            f"{field} must be an array of numbers, got {_short(value)}, which holds "
+            f"{field} must be an array of numbers, got {short(value)}, which holds "
             f"{NO_NUMBERS[kind]}."
         )
     try:
         array = given.astype(np.float64, copy=False)
     except (TypeError, ValueError) as error:
         raise ValueError(
-            f"{field} must be an array of numbers, got {_short(value)}: {error}."
+            f"{field} must be an array of numbers, got {short(value)}: {error}."
         ) from None
     if finite and not np.isfinite(array).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
@@ -65,7 +65,7 @@ def real_array(field: str, value: ArrayLike, finite: bool = True) -> Array:
     return array
 
 
-def _short(value: object) -> str:
+def short(value: object) -> str:
     """The beginning of `value` as it would be typed."""
     text = repr(value)
     return text if len(text) <= 80 else f"{text[:77]}..."

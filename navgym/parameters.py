@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from navgym._checks import Array, one_of, real_array, shaped
+from navgym._checks import Array, one_of, real_array, shaped, short
 
 SCALES = ("linear", "log", "log-complement")
 
@@ -196,7 +196,7 @@ class ParameterSpace:
         if parameter.at_start and (column != column[0]).any():
             raise ValueError(
                 f"{parameter.name} acts at the start only, so that it cannot change on the way, got "
-                f"{len(column)} values from {column.min():g} to {column.max():g}: give one number."
+                f"{short(value)}: give one number."
             )
         return column
 
