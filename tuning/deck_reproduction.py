@@ -296,7 +296,7 @@ def _bound_figure(cases: DeckCases) -> Figure:
     )
     when = cases.recordings[0].step_time
     bound = CALM.flexure.split_deviation(when) / ARCMIN
-    caption = "Error of θ over time, RMS over the runs, and the least that the flexure's model allows (dashed). No filter gets below; one that seems to has been told something."
+    caption = "Error of θ over time, RMS over the runs, and the least that the flexure's model allows (dashed). Over many runs no filter gets below it; one that does has been told something."
     with drawing(caption, 2.6, ncols=3, sharex=True) as (axes, made):
         for a, each in enumerate(axes):
             each.plot(when, error[:, a], color=PLAIN, lw=1.4)
