@@ -14,8 +14,8 @@ tuned was tuned on training seeds and chosen on validation seeds, in studies who
 
 deck: IDAM against WOAM and SVRAM in the paper's setting, with enough seeds to tell (IDAM section 5); what
 can be known of the deformation at all, the lever arm, identification by every method, correntropy and
-model prediction (SCIENCE B2); switching conditions and a changing sea (B3); and a real pendulum,
-where the RepoIMU data are at hand. Writes deck.html and deck.json.
+model prediction (SCIENCE B2); switching conditions and a changing sea (B3); and a real pendulum and
+a real quadrotor, where the RepoIMU and multi-IMU data are at hand. Writes deck.html and deck.json.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ def parse() -> argparse.Namespace:
     add("--runs", type=int, help="paired test recordings per figure (default: 60)")
     add("--out", type=Path, default=Path("runs/reproduce"), help="folder (default: %(default)s)")
     add(
-        "--data", type=Path, help="folder of RepoIMU's pendulum "
-        "(default: ../shared/data/repoimu beside the repository, if it is there)",
+        "--data", type=Path, help="folder that holds repoimu and multi_imu "
+        "(default: ../shared/data beside the repository, if it is there)",
     )  # fmt: skip
     add("--quick", action="store_true", help="a few recordings, only to see it run")
     return parser.parse_args()
@@ -66,13 +66,16 @@ def deck(options: argparse.Namespace) -> int:
     began = time.perf_counter()
     size = deck_reproduction.QUICK if options.quick else deck_reproduction.FULL
     size = size if options.runs is None else replace(size, runs=options.runs)
-    beside = SHARED / "repoimu"
-    folder = options.data or (beside if beside.is_dir() else None)
-    if folder is None:
-        print("no RepoIMU data: the pendulum is left out (name its folder with --data)")
-    parts = shown(deck_reproduction.deck(size, folder))
+    folders = [(options.data or SHARED) / name for name in ("repoimu", "multi_imu")]
+    there = [folder if folder.is_dir() else None for folder in folders]
+    for name, folder in zip(("RepoIMU", "multi-IMU"), there, strict=True):
+        if folder is None:
+            print(f"no {name} data: left out (name the folder above it with --data)")
+    parts = shown(deck_reproduction.deck(size, *there))
     seeds = {"choice of the fixed width": "training", "all figures": "test"}
-    basis = report.provenance("reproduce.py", pendulum="RepoIMU" if folder else "none", seeds=seeds)
+    basis = report.provenance(
+        "reproduce.py", real=[f.name for f in there if f is not None], seeds=seeds
+    )
     report.write_json(options.out / "deck.json", reproduction.results(parts, basis))
     page = reproduction.page(parts, basis, "The deck figures, reproduced")
     path = report.write_page(options.out / "deck.html", page)

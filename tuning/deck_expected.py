@@ -34,3 +34,6 @@ SWITCH: Mapping[str, tuple[float, float, float]] = {
     "true-regime schedule": (5.91, 0.90, 0.494),
 }
 SWITCH_GAIN = 32.0  # % of θ̇, schedule against best fixed
+
+# RepoIMU: angular frequency of the relative swing by the optical reference, rad/s (SCIENCE D)
+PENDULUM: Mapping[str, float] = {"Test03_Trial1": 4.227, "Test05_Trial2": 4.186}

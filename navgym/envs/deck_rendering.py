@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from navgym.envs.rendering import ESTIMATE, LOST, TRUTH, new_figure
+from navgym.envs.rendering import ESTIMATE, LOST, TRUTH, Canvas
 from navgym.filters.alignment import STATES, THETA
 from navgym.flexure import ARCMIN
 
@@ -18,25 +17,14 @@ if TYPE_CHECKING:
 SHADES = ("#ffffff", "#dfe9f2", "#f6e7d8", "#e8e0ef", "#e2efdf", "#f2dede")
 
 
-class DeckPainter:
-    """Draws one lane with matplotlib, off screen ("rgb_array") or in a window ("human")."""
+class DeckPainter(Canvas):
+    """Draws a lane of the deck environment: θ per axis, weights and parameters over the sea state."""
 
-    def __init__(self, mode: str) -> None:
-        self._mode = mode
-        self._figure, self._canvas = new_figure(mode)
-
-    def paint(
-        self, engine: DeckEngine, rows: Sequence[Sequence[float]]
-    ) -> NDArray[np.uint8] | None:
-        """Draw lane 0 of `engine` and the parameters `rows` of its decisions so far.
-
-        Returns (height, width, 3) bytes in mode "rgb_array".
-        """
-        self._figure.clear()
+    def draw(self, engine: DeckEngine, rows: Sequence[Sequence[float]]) -> None:
+        """See `Canvas`."""
         names = engine.settings.action_parameters
-        grid = self._figure.add_gridspec(
-            4 + len(names), 1, height_ratios=[2, 2, 2, 1.2] + [1] * len(names)
-        )
+        heights = [2, 2, 2, 1.2] + [1] * len(names)
+        grid = self._figure.add_gridspec(len(heights), 1, height_ratios=heights)
         axes = [self._figure.add_subplot(cell) for cell in grid]
         for a in range(3):
             self._axis(axes[a], a, engine)
@@ -50,18 +38,6 @@ class DeckPainter:
         axes[0].set_title(_title(engine), fontsize=10)
         _name_regimes(axes[0], engine)
         axes[-1].set_xlabel("time, s")
-        self._canvas.draw()
-        if self._mode == "human":
-            self._canvas.flush_events()
-            return None
-        return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        if self._mode == "human":
-            import matplotlib.pyplot as plt
-
-            plt.close(self._figure)
 
     @staticmethod
     def _axis(axes: Any, a: int, engine: DeckEngine) -> None:

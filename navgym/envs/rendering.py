@@ -17,28 +17,27 @@ TRUTH, ESTIMATE, LOST = "#444444", "#0a6ebd", "#d1495b"
 DPI = 100
 
 
-class Painter:
-    """Draws one lane with matplotlib, off screen ("rgb_array") or in a window ("human").
+class Canvas:
+    """A figure that is drawn anew for each picture, off screen ("rgb_array") or in a window ("human").
 
     Raises RuntimeError, with the remedy, if matplotlib is missing or no window can be opened.
     """
 
     def __init__(self, mode: str) -> None:
         self._mode = mode
-        self._figure, self._canvas = new_figure(mode)
+        self._figure, self._canvas = _new_figure(mode)
 
-    def paint(self, engine: Engine, rows: Sequence[Sequence[float]]) -> NDArray[np.uint8] | None:
+    def draw(self, engine: Any, rows: Sequence[Sequence[float]]) -> None:
+        """Draw lane 0 of `engine` and the parameters `rows` of its decisions on the empty figure."""
+        raise NotImplementedError
+
+    def paint(self, engine: Any, rows: Sequence[Sequence[float]]) -> NDArray[np.uint8] | None:
         """Draw lane 0 of `engine` and the parameters `rows` of its decisions so far.
 
         Returns (height, width, 3) bytes in mode "rgb_array".
         """
         self._figure.clear()
-        names = engine.settings.action_parameters
-        grid = self._figure.add_gridspec(len(names) + 1, 2, width_ratios=(1.25, 1))
-        self._map(self._figure.add_subplot(grid[:, 0]), engine)
-        self._error(self._figure.add_subplot(grid[0, 1]), engine)
-        for i, name in enumerate(names):
-            self._strip(self._figure.add_subplot(grid[i + 1, 1]), name, engine, rows)
+        self.draw(engine, rows)
         self._canvas.draw()
         if self._mode == "human":
             self._canvas.flush_events()
@@ -51,6 +50,19 @@ class Painter:
             import matplotlib.pyplot as plt
 
             plt.close(self._figure)
+
+
+class Painter(Canvas):
+    """Draws a lane of the AUV environment: the map, the errors and the parameters."""
+
+    def draw(self, engine: Engine, rows: Sequence[Sequence[float]]) -> None:
+        """See `Canvas`."""
+        names = engine.settings.action_parameters
+        grid = self._figure.add_gridspec(len(names) + 1, 2, width_ratios=(1.25, 1))
+        self._map(self._figure.add_subplot(grid[:, 0]), engine)
+        self._error(self._figure.add_subplot(grid[0, 1]), engine)
+        for i, name in enumerate(names):
+            self._strip(self._figure.add_subplot(grid[i + 1, 1]), name, engine, rows)
 
     def _map(self, axes: Any, engine: Engine) -> None:
         k = int(engine.stations["k"][0])
@@ -148,8 +160,7 @@ def _ellipse(axes: Any, engine: Engine, plane: tuple[int, int]) -> None:
     axes.add_patch(patch)
 
 
-def new_figure(mode: str) -> tuple[Any, Any]:
-    """A figure and its canvas, off screen or in a window; RuntimeError without matplotlib."""
+def _new_figure(mode: str) -> tuple[Any, Any]:
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure

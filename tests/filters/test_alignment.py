@@ -109,7 +109,7 @@ def test_the_kernel_agrees_with_its_twin(case, glitchy):
     agree(found, twin.alignment(glitchy, found["tapes"][0], rules))
 
 
-def test_kernel_and_twin_agree_to_nine_digits_where_the_prior_is_well_scaled(glitchy):
+def test_kernel_and_twin_agree_to_eight_digits_where_the_prior_is_well_scaled(glitchy):
     model = replace(glitchy.model, misalignment=1e-3)
     narrow = replace(glitchy, model=model, static=None)
     found = run_alignment([narrow], kernel_width=3.0)
