@@ -29,7 +29,7 @@ $(VENV)/installed: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "navgym needs Python 3.11 or newer: make PYTHON=python3.11"'
 	test -x $(RUN) || $(PYTHON) -m venv $(VENV)
 	$(RUN) -m pip install --disable-pip-version-check --constraint constraints.txt torch
-	$(RUN) -m pip install --disable-pip-version-check --constraint constraints.txt --editable ".[tuning,agents,render,identification,dev]"
+	$(RUN) -m pip install --disable-pip-version-check --constraint constraints.txt --editable ".[tuning,agents,render,cluster,dev]"
 	touch $@
 
 clean:

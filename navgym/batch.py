@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -63,6 +63,13 @@ class Batch:
 
     def __len__(self) -> int:
         return len(self.y)
+
+    def take(self, which: Sequence[int] | NDArray[np.int64]) -> Batch:
+        """Some of the recordings, in the order of `which`."""
+        index = np.asarray(which, dtype=np.int64)
+        held: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
+        chosen: dict[str, Any] = {k: a[index] for k, a in held.items() if a is not None}
+        return Batch(**(held | chosen))
 
     def without_scales(self) -> Batch:
         """The same batch for a filter that must not know the true noise."""

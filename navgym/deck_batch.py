@@ -48,6 +48,12 @@ class DeckBatch:
     def __len__(self) -> int:
         return len(self.recordings)
 
+    def take(self, which: Sequence[int] | NDArray[np.int64]) -> DeckBatch:
+        """Some of the recordings, in the order of `which`."""
+        index = np.asarray(which, dtype=np.int64)
+        chosen = tuple(self.recordings[i] for i in index)
+        return DeckBatch(chosen, self.tapes[index], self.lengths[index])
+
     @property
     def step(self) -> float:
         """Seconds per filter step."""

@@ -20,8 +20,9 @@ from tuning.expected import Check
 from tuning.experiments import FOLDS, TRACKS, cross_tuned, per_track, real_cases
 from tuning.objective import GeometricMean, Guarded, Objective
 from tuning.schedule import RegimeTable
+from tuning.search_space import from_optuna, to_optuna
 from tuning.selection import confirm, rounded
-from tuning.study import from_optuna, search, to_optuna
+from tuning.study import search
 
 FREE = ("forgetting", "process_noise_scale", "fill", "vb_iterations")
 
@@ -111,8 +112,10 @@ def test_a_bad_objective_is_refused(cases, arguments, message):
 def test_recordings_without_truth_are_refused():
     recording = navgym.simulate("auv/nominal", steps=5)
     blind = navgym.Recording(recording.time, recording.measurements, model=recording.model)
+    with pytest.raises(ValueError, match=r"needs the truth.*'likelihood'"):
+        Objective("kf", ["process_noise_scale"], Cases.of([blind]))
     with pytest.raises(ValueError, match="truth"):
-        Cases.of([blind])
+        compare([Entry("kf", "kf")], Cases.of([blind]), "kf")
 
 
 def test_a_geometric_mean_weighs_ratios_alike(cases):

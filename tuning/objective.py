@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Any, Protocol
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from navgym._checks import Array, one_of
 from navgym.batch import Batch
 from navgym.estimation import parameter_space
-from navgym.parameters import ParameterSpace
+from navgym.parameters import Parameter, ParameterSpace
 from tuning.cases import Cases
+from tuning.deck_cases import DeckCases
+from tuning.measures import METRICS, Measure, bounded, find_measure
 
-METRICS: Mapping[str, Callable[[Array], float]] = MappingProxyType(
-    {
-        "mean": lambda errors: float(errors.mean()),
-        "median": lambda errors: float(np.median(errors)),
-        "quantile 95 %": lambda errors: float(np.quantile(errors, 0.95)),
-    }
-)
+AnyCases = Cases | DeckCases
 
 
 class Goal(Protocol):
@@ -42,67 +39,199 @@ class Goal(Protocol):
         """The number to minimise; always finite."""
 
 
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """What some instances (recordings) said of a parameter set.
+
+    Args:
+        losses: (n,) one number per instance, finite, the smaller the better.
+        limits: quantities that may not grow, as (n,) shares of what is allowed: above 1 in the mean
+            the parameter set is not feasible.
+        microseconds: per filter step, as measured.
+    """
+
+    losses: Array
+    limits: Mapping[str, Array] = field(default_factory=dict)
+    microseconds: float = math.nan
+
+    @classmethod
+    def joined(cls, parts: Sequence[Evaluation]) -> Evaluation:
+        """Evaluations of different instances as one."""
+        names = parts[0].limits
+        sizes = [len(p.losses) for p in parts]
+        return cls(
+            np.concatenate([p.losses for p in parts]),
+            {name: np.concatenate([p.limits[name] for p in parts]) for name in names},
+            float(np.average([p.microseconds for p in parts], weights=sizes)),
+        )
+
+    @property
+    def constraints(self) -> dict[str, float]:
+        """Per limit, by how much its mean is beyond what is allowed: feasible at 0 or less."""
+        return {name: float(each.mean()) - 1.0 for name, each in self.limits.items()}
+
+
+@runtime_checkable
+class InstanceGoal(Goal, Protocol):
+    """A goal that is a statistic of losses over instances, which can be looked at in parts."""
+
+    metric: str
+
+    def __len__(self) -> int:
+        """Number of instances."""
+
+    def evaluate(self, values: Mapping[str, Any], which: Sequence[int] | None = None) -> Evaluation:
+        """Losses of the instances `which`, in one batch; of all of them for None."""
+
+
 class Objective:
-    """Position error of one filter over a set of recordings, as a function of free parameters.
+    """One filter over a set of recordings, as a function of free parameters.
 
     Args:
         filter_name: a name of `navgym.filters()`.
-        free: names of the parameters to vary; the order is the study's.
-        cases: the recordings, as `Cases` or as a plain `Batch` whose position states are 0 and 2.
-        metric: of the per-run RMSE: a name of `METRICS`.
+        free: names of the parameters to vary, or parameters with ranges of their own; the order is
+            the study's.
+        cases: the recordings, as `Cases`, `DeckCases` or a plain `Batch` whose position states are
+            0 and 2.
+        metric: of the runs' losses: a name of `tuning.measures.METRICS`.
         fixed: parameters held at values of their own; the others stay at their defaults.
+        measure: the loss of a run: a name of `tuning.measures.MEASURES`; the position RMSE, for a
+            deck the composite, by default.
 
     Raises:
-        ValueError: unknown filter, parameter or metric; no free parameter, or one that is fixed
-            as well; recordings without truth.
+        ValueError: unknown filter, parameter, metric or measure; no free parameter, or one that is
+            fixed as well; recordings without the truth that the measure needs.
 
-    A diverged run counts as ten times the error of the plain filter on the same recording
-    (`Cases.bounded_errors`), so the result is finite for any parameters.
+    A diverged run counts at a ceiling over the plain filter's on the same recording (see
+    `tuning.measures.bounded`), so the result is finite for any parameters.
     """
 
     def __init__(
         self,
         filter_name: str,
-        free: Iterable[str],
-        cases: Cases | Batch,
+        free: Iterable[str | Parameter],
+        cases: AnyCases | Batch,
         metric: str = "mean",
         fixed: Mapping[str, Any] | None = None,
+        measure: str | None = None,
     ) -> None:
-        whole = parameter_space(filter_name)
+        self.cases: AnyCases = Cases(cases) if isinstance(cases, Batch) else cases
+        whole = parameter_space(filter_name, deck=self.cases.half == "deck")
         self.filter_name = filter_name
-        self.space = whole.subset(free)
+        self.space = _space(whole, free)
         self.fixed = dict(fixed or {})
-        self.cases = Cases(cases) if isinstance(cases, Batch) else cases
         self.metric = one_of("metric", metric, METRICS)
+        self.measure = checked_measure(self.cases, measure)
         _check_names(self.space, self.fixed)
         whole.array(self.fixed)
-        self._plain = self.cases.plain_errors()
+        self.plain = plain_quantities(self.cases, self.measure)
+        self._allowed = self._limits()
+
+    def on(self, cases: AnyCases) -> Objective:
+        """The same objective on other recordings."""
+        return Objective(
+            self.filter_name, self.space, cases, self.metric, self.fixed, self.measure.name
+        )
+
+    def __len__(self) -> int:
+        return len(self.cases)
 
     @property
     def about(self) -> dict[str, Any]:
         """Filter, fixed parameters, metric and recordings."""
-        whole = parameter_space(self.filter_name)
+        whole = parameter_space(self.filter_name, deck=self.cases.half == "deck")
         rest = [name for name in whole.names if name not in self.space.names]
         held = whole.defaults | self.fixed
         return {
             "filter": self.filter_name,
             "fixed": {name: held[name] for name in rest},
-            "metric": f"{self.metric} of the runs' position RMSE",
+            "metric": f"{self.metric} of the runs' {self.measure.label}",
             "recordings": dict(self.cases.about),
         }
 
+    def _limits(self) -> dict[str, float]:
+        """What each limited quantity may come to in the mean."""
+        shares = dict(self.measure.limits)
+        if not shares:
+            return {}
+        found, _ = self.cases.quantities(self.filter_name, self.fixed, tuple(shares))
+        return {q: float(found[q].mean()) * (1.0 + share) for q, share in shares.items()}
+
+    def evaluate(self, values: Mapping[str, Any], which: Sequence[int] | None = None) -> Evaluation:
+        """Losses of the recordings `which`, in one call of the kernel."""
+        cases = self.cases if which is None else self.cases.take(which)
+        plain = self.plain if which is None else {q: p[which] for q, p in self.plain.items()}
+        began = time.perf_counter()
+        found, flags = cases.quantities(
+            self.filter_name, self.fixed | dict(values), self.measure.quantities
+        )
+        spent = 1e6 * (time.perf_counter() - began) / cases.samples
+        kept = bounded(found, flags, plain)
+        limits = {q: kept[q] / allowed for q, allowed in self._allowed.items()}
+        return Evaluation(self.measure.losses(kept, self.plain), limits, spent)
+
     def errors(self, values: Mapping[str, Any]) -> Array:
-        """Bounded position RMSE of each run (N,) in m."""
-        parameters = self.fixed | dict(values)
-        return self.cases.bounded_errors(self.filter_name, parameters, self._plain)
+        """Loss of each run (N,), bounded."""
+        return self.evaluate(values).losses
 
     def share_beyond(self, values: Mapping[str, Any], limit: float) -> float:
         """Share of runs that are more than `limit` times worse than the plain filter's."""
-        return float((self.errors(values) > limit * self._plain).mean())
+        plain = self.measure.losses(self.plain, self.plain)
+        return float((self.errors(values) > limit * plain).mean())
 
     def __call__(self, values: Mapping[str, Any]) -> float:
-        """The metric, m, at `values` of the free parameters."""
-        return METRICS[self.metric](self.errors(values))
+        """The metric at `values` of the free parameters."""
+        return float(METRICS[self.metric](self.errors(values)))
+
+
+def checked_measure(cases: AnyCases, name: str | None) -> Measure:
+    """The measure called `name` if these recordings have what it needs; ValueError if not."""
+    measure = find_measure(cases.half, name)
+    if measure.needs_truth and not cases.has_truth:
+        raise ValueError(
+            f"measure {measure.name!r} needs the truth, which these recordings lack: use "
+            "'likelihood', which judges a filter by its own predictions."
+        )
+    return measure
+
+
+def plain_quantities(cases: AnyCases, measure: Measure) -> dict[str, Array]:
+    """The measure's quantities (N,) of the filter that needs no tuning."""
+    return cases.quantities(cases.plain, None, measure.quantities)[0]
+
+
+def _space(whole: ParameterSpace, free: Iterable[str | Parameter]) -> ParameterSpace:
+    """The free parameters; those with ranges of their own must lie inside the filter's."""
+    chosen = []
+    for each in free:
+        name = each if isinstance(each, str) else each.name
+        known = whole[name]
+        own = known if isinstance(each, str) else each
+        if own.low < known.low or own.high > known.high:
+            raise ValueError(
+                f"range of {name} must lie inside {known.low:g}..{known.high:g}, got "
+                f"{own.low:g}..{own.high:g}."
+            )
+        chosen.append(own)
+    names = [p.name for p in chosen]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError(f"free must name each parameter once, got {twice[0]!r} twice.")
+    return ParameterSpace(tuple(chosen))
+
+
+def narrowed(parameter: Parameter, low: float, high: float) -> Parameter:
+    """`parameter` with a range of its own, its default moved inside.
+
+    Raises ValueError for an empty range, and for one that is not inside the parameter's.
+    """
+    if not parameter.low <= low < high <= parameter.high:
+        raise ValueError(
+            f"range of {parameter.name} must be low < high inside {parameter.low:g}.."
+            f"{parameter.high:g}, got {low:g}..{high:g}."
+        )
+    default = min(max(parameter.default, low), high)
+    return dataclasses.replace(parameter, low=low, high=high, default=default)
 
 
 def _check_names(space: ParameterSpace, fixed: Mapping[str, Any]) -> None:
@@ -111,6 +240,56 @@ def _check_names(space: ParameterSpace, fixed: Mapping[str, Any]) -> None:
     both = sorted(set(space.names) & set(fixed))
     if both:
         raise ValueError(f"{both[0]!r} is free and fixed at once: name it in one of the two.")
+
+
+class Pooled:
+    """Several objectives as one: every run's loss over the mean of the plain filter's there.
+
+    A set of scenarios weighs by how much the filter gains in each, not by metres; runs of all of
+    them are the instances.
+
+    Args:
+        members: objectives over one space and one metric.
+    """
+
+    def __init__(self, members: Sequence[Objective]) -> None:
+        if not members or len({m.space.fingerprint for m in members}) > 1:
+            raise ValueError("members must be at least one objective, all over one space.")
+        self.members = tuple(members)
+        self.space = members[0].space
+        self.metric = members[0].metric
+        self._scales = [float(m.measure.losses(m.plain, m.plain).mean()) for m in members]
+        ends = np.cumsum([0, *map(len, members)])
+        self._spans = list(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True))
+
+    def __len__(self) -> int:
+        return sum(map(len, self.members))
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """What every member depends on."""
+        return {"pooled over": [dict(m.about) for m in self.members]}
+
+    def evaluate(self, values: Mapping[str, Any], which: Sequence[int] | None = None) -> Evaluation:
+        """Losses of the instances `which`, a call of the kernel per member."""
+        wanted = np.arange(len(self)) if which is None else np.asarray(which)
+        losses, spent = np.empty(len(wanted)), []
+        limits: dict[str, Array] = {}
+        for member, scale, (first, last) in zip(
+            self.members, self._scales, self._spans, strict=True
+        ):
+            here = (wanted >= first) & (wanted < last)
+            if here.any():
+                found = member.evaluate(values, wanted[here] - first)
+                losses[here] = found.losses / scale
+                spent.append(found.microseconds)
+                for name, each in found.limits.items():
+                    limits.setdefault(name, np.empty(len(wanted)))[here] = each
+        return Evaluation(losses, limits, float(np.mean(spent)))
+
+    def __call__(self, values: Mapping[str, Any]) -> float:
+        """The metric of the pooled losses."""
+        return float(METRICS[self.metric](self.evaluate(values).losses))
 
 
 @dataclass(frozen=True)

@@ -1,52 +1,77 @@
-"""Optuna studies over a `ParameterSpace`: seeded, resumable, and never mixed up.
+"""Optuna studies over a `ParameterSpace`: seeded, resumable, parallel, and never mixed up.
 
-A study lives in a journal file. The same call continues it to the number of finished trials asked
-for; the sampler is seeded by (seed, finished trials), so an interrupted and continued study ends
-where an uninterrupted one does. A journal made for another goal is refused.
+Trials are asked for, evaluated and told in batches, so that a study is the same whether one process
+evaluates a batch or eight do. A sampler is seeded by (seed, finished trials), so an interrupted and
+continued study ends where an uninterrupted one does. A study made for another goal is refused.
+Several processes may work on one study in a database; then its trials depend on who was quicker.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
+import datetime as dt
 import math
+import os
+import platform
 import signal
 import sys
 import threading
+import time
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import optuna
-from optuna.distributions import (
-    BaseDistribution,
-    CategoricalDistribution,
-    FloatDistribution,
-    IntDistribution,
-)
-from optuna.storages import BaseStorage, InMemoryStorage, JournalStorage
-from optuna.storages.journal import JournalFileBackend
+from optuna.storages import BaseStorage
 from optuna.trial import FrozenTrial, TrialState
 from tqdm import tqdm
 
-from navgym._checks import positive_int
-from navgym.parameters import Parameter, ParameterSpace
-from tuning.objective import Goal
+from navgym._checks import one_of, positive_int
+from navgym.parameters import ParameterSpace
+from tuning import racing
+from tuning.identity import enqueue, open_study
+from tuning.measures import METRICS
+from tuning.objective import Evaluation, Goal, InstanceGoal
+from tuning.search_space import SAMPLERS, distributions, from_optuna, sampler_of
+from tuning.storage import (
+    GRACE,
+    HEARTBEAT,
+    Where,
+    is_url,
+    opened,
+    retry,
+    signs_of_life,
+    unreachable,
+)  # fmt: skip
 
-STUDY = "navgym"  # one study per journal
-GOAL = "navgym goal"  # the study's attribute that says what it is for
-STARTUP_TRIALS = 15  # random trials before the model takes over, the enqueued ones included
+STUDY = "navgym"  # the usual name: one study per journal
+# attributes of trials: losses per instance, instances seen before the trial was given up, its worker
+LOSSES, GIVEN_UP, WORKER = "losses", "given up after", "worker"
+POLL = 0.5  # s between looks at a study whose last trials others are running
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One finished evaluation: its number, its parameters as a user writes them, what came out."""
+    """One finished evaluation.
+
+    Args:
+        number: of the trial in its study.
+        values: parameters as a user writes them.
+        result: what was minimised; an estimate where the trial was given up.
+        cost: µs per filter step, where that was minimised as well.
+        given_up: whether it was pruned: seen to be worse than the best before all instances.
+        feasible: whether it keeps every limit.
+    """
 
     number: int
     values: Mapping[str, Any]
     result: float
+    cost: float | None = None
+    given_up: bool = False
+    feasible: bool = True
 
 
 @dataclass(frozen=True)
@@ -69,73 +94,322 @@ class Outcome:
 
     @property
     def best(self) -> Trial:
-        """The trial with the smallest result, the first of equals."""
-        return min(self.trials, key=lambda t: t.result)
+        """The trial with the smallest result, the first of equals; of the feasible ones if any is."""
+        return min(self.trials, key=lambda t: (not t.feasible, t.given_up, t.result))
+
+    @property
+    def front(self) -> tuple[Trial, ...]:
+        """Trials that no other beats in both result and cost, the cheapest first."""
+        front: list[Trial] = []
+        for t in sorted(self.trials, key=lambda t: (t.cost or 0.0, t.result)):
+            if t.feasible and (not front or t.result < front[-1].result):
+                front.append(t)
+        return tuple(front)
+
+
+@dataclass(frozen=True)
+class Search:
+    """How a study is run.
+
+    Args:
+        trials: finished trials to end with, those of earlier runs counted in.
+        seed: of the sampler and of the order of instances.
+        sampler: a name of `tuning.search_space.SAMPLERS`.
+        batch: trials asked for at once; more than one keeps as many workers busy.
+        prune: whether a trial that is surely worse than the best is given up on the way: Wilcoxon's
+            signed-rank test on the instances that both have seen.
+        study: its name in a database.
+        heartbeat: s between a database worker's signs of life.
+        grace: s of silence after which its trials are tried again by others.
+    """
+
+    trials: int
+    seed: int = 0
+    sampler: str = "tpe"
+    batch: int = 1
+    prune: bool = False
+    study: str = STUDY
+    heartbeat: int = HEARTBEAT
+    grace: int = GRACE
+
+    def __post_init__(self) -> None:
+        for name in ("trials", "batch", "heartbeat", "grace"):
+            positive_int(name, getattr(self, name))
+        positive_int("seed", self.seed, least=0)
+        one_of("sampler", self.sampler, SAMPLERS)
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What decides the trials of a study, beside its goal."""
+        return {name: getattr(self, name) for name in ("seed", "sampler", "batch", "prune")}
 
 
 def search(
     goal: Goal,
-    trials: int,
+    trials: int | Search,
     seed: int = 0,
-    journal: Path | None = None,
+    journal: Where = None,
     first: Sequence[Mapping[str, Any]] = (),
     label: str = "tuning",
     progress: bool = True,
+    executor: Executor | None = None,
 ) -> Outcome:
-    """Minimise `goal` until the study holds `trials` finished trials.
+    """Minimise `goal` until the study holds the finished trials asked for.
 
     Args:
-        goal: see `tuning.objective.Goal`.
-        trials: finished trials to end with, those of earlier runs counted in.
-        seed: of the sampler; the same seed gives the same trials, interrupted or not.
-        journal: file that keeps the study; None keeps it in memory.
+        goal: see `tuning.objective.Goal`; an `InstanceGoal` can be evaluated in parts.
+        trials: how many, or how to search.
+        seed: of the sampler, if `trials` is a number; the same seed gives the same trials,
+            interrupted or not, serial or parallel.
+        journal: file or database URL that keeps the study; None keeps it in memory.
         first: parameter sets to try right after the defaults, such as an earlier best.
         label: what the progress bar calls it.
         progress: whether to show one.
+        executor: where trials are evaluated; here, one after the other, by default. `goal` must
+            then be one that can be pickled.
 
     Raises:
-        ValueError: fewer than one trial, a journal of another goal, or a damaged one.
+        ValueError: fewer than one trial, a study of another goal, or a damaged one.
+        OSError: storage that cannot be reached or written; what was finished is kept.
         KeyboardInterrupt: Ctrl-C before the first trial finished, or a second Ctrl-C; the first
-            one ends the search after the trial at hand, with what was found.
+            one ends the search after the trials at hand, with what was found.
     """
-    positive_int("trials", trials)
-    space = goal.space
-    study = _open(goal, seed, journal)
-    for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
-        study.tell(trial.number, state=TrialState.FAIL)  # left by a run that was killed
-    for values in ({}, *first):
-        _enqueue(study, space, space.defaults | dict(values))
-    count = _finished(study)
+    how = trials if isinstance(trials, Search) else Search(trials, seed)
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
     with (
+        _named_errors(journal),
+        opened(journal, how.heartbeat, how.grace) as storage,
         _deferred_interrupt() as stop,
-        tqdm(total=trials, initial=min(count, trials), desc=label, disable=not progress) as bar,
     ):
-        while count < trials and not stop.is_set():
-            _evaluate(study, goal, seed, count, stop)
-            count = _finished(study)
-            bar.n = count
-            if count:
-                bar.set_postfix_str(f"best {study.best_value:.4g}", refresh=False)
-            bar.update(0)
-    if count == 0:
+        run = _Run(
+            goal,
+            how,
+            open_study(goal, how.identity, how.study, journal, storage),
+            storage,
+            executor,
+            is_url(journal),
+        )
+        run.enqueue(first)
+        with tqdm(total=how.trials, desc=label, disable=not progress) as bar:
+            run.show(bar)
+            while not stop.is_set() and run.once(stop):
+                run.show(bar)
+            run.show(bar)
+        found = run.finished()
+    if not found:
         raise KeyboardInterrupt
-    return Outcome(tuple(_trials(study, space)), stop.is_set())
+    return Outcome(tuple(found), stop.is_set())
 
 
-def _evaluate(
-    study: optuna.Study, goal: Goal, seed: int, count: int, stop: threading.Event
-) -> None:
-    """Run one more trial; one that ends in an error or an interrupt is marked as failed."""
-    study.sampler = _sampler(seed, count)
-    trial = study.ask(distributions(goal.space))
+@contextlib.contextmanager
+def _named_errors(where: Where) -> Iterator[None]:
+    """A database's own errors as OSError with a remedy."""
+    from sqlalchemy.exc import SQLAlchemyError
+
     try:
-        study.tell(trial, goal(from_optuna(goal.space, trial.params)))
-    except BaseException as error:
+        yield
+    except SQLAlchemyError as error:
+        raise unreachable(where, error) from error
+    except optuna.exceptions.StorageInternalError as error:
+        raise unreachable(where, error.__cause__ or error) from error
+
+
+@dataclass(eq=False)
+class _Run:
+    """One process's work on a study."""
+
+    goal: Goal
+    how: Search
+    study: optuna.Study
+    storage: BaseStorage
+    executor: Executor | None
+    shared: bool  # whether others may work on the study at the same time
+    leader: racing.Leader | None = None  # whom the batch at hand is held against
+
+    def enqueue(self, first: Sequence[Mapping[str, Any]]) -> None:
+        """Put the defaults and `first` in line, and what a process that died left behind."""
+        if not self.shared:
+            for trial in self._of(TrialState.RUNNING):
+                self._again(trial)
+        space = self.goal.space
+        for values in ({}, *first):
+            enqueue(self.study, space, space.defaults | dict(values))
+
+    def once(self, stop: threading.Event) -> bool:
+        """One batch, or one look at those whom others run; False when nothing is left to do."""
+        if self.shared:
+            self._reclaim()
+        asked = self._ask()
+        if not asked:
+            if len(self._of(TrialState.COMPLETE)) >= self.how.trials:
+                return False
+            time.sleep(POLL)
+            return True
+        with signs_of_life(self.storage, [t._trial_id for t in asked], self.how.heartbeat):
+            try:
+                self._work(asked)
+            except KeyboardInterrupt:
+                self._fail(asked)
+                if stop.is_set():
+                    raise
+                stop.set()
+            except BaseException:
+                self._fail(asked)
+                raise
+        return True
+
+    def _work(self, asked: Sequence[optuna.Trial]) -> None:
+        """Evaluate a batch and tell the study, in order."""
+        for trial, (found, seen) in zip(asked, self._evaluate(asked), strict=True):
+            self._tell(trial, found, seen)
+
+    # ---- asking
+
+    def _ask(self) -> list[optuna.Trial]:
+        """The next trials of this process: fewer than a batch near the end, none if all are taken."""
+        done = len(self._of(TrialState.COMPLETE))
+        taken = done + len(self._of(TrialState.RUNNING))
+        # alone, a batch that was interrupted is completed before the next one begins
+        size = self.how.batch if self.shared else self.how.batch - done % self.how.batch
+        asked = []
+        for i in range(max(0, min(size, self.how.trials - taken))):
+            self.study.sampler = sampler_of(self.how.sampler, self.how.seed, done + i)
+            trial = self.study.ask(distributions(self.goal.space))
+            if self.shared:
+                # without it no one would notice our death
+                record_life(self.storage, trial._trial_id)
+                trial.set_user_attr(WORKER, f"{platform.node()}:{os.getpid()}")
+                if self._surplus(trial.number):
+                    self.study.tell(trial, state=TrialState.FAIL)
+                    continue
+            asked.append(trial)
+        return asked
+
+    def _surplus(self, number: int) -> bool:
+        """Whether others took the last places while this trial was asked for."""
+        taken = self._of(TrialState.COMPLETE, TrialState.RUNNING)
+        return sum(t.number < number for t in taken) >= self.how.trials
+
+    # ---- evaluating
+
+    def _evaluate(self, asked: Sequence[optuna.Trial]) -> list[tuple[Any, Any]]:
+        """(evaluation or number, instances seen) of each trial, in their order."""
+        sets = [from_optuna(self.goal.space, t.params) for t in asked]
+        goal = self.goal
+        if not isinstance(goal, InstanceGoal):
+            return [(found, None) for found in self._map([(goal, v, None) for v in sets])]
+        self.leader = self._find_leader() if self.how.prune else None
+        done = len(self._of(TrialState.COMPLETE))
+        orders = [
+            racing.order(len(goal), self.how.seed, done + i, self.leader is not None)
+            for i in range(len(sets))
+        ]
+        return racing.race(goal, sets, orders, self.leader, self._map)
+
+    def _map(self, calls: Sequence[tuple[Any, ...]]) -> list[Any]:
+        """`racing.evaluate` of every call, where evaluations are made."""
+        if self.executor is None:
+            return [racing.evaluate(*call) for call in calls]
+        futures = [self.executor.submit(racing.evaluate, *call) for call in calls]
+        try:
+            return [f.result() for f in futures]
+        finally:
+            for f in futures:
+                f.cancel()
+
+    def _find_leader(self) -> racing.Leader | None:
+        """The best trial that has seen every instance, of those before the batch at hand."""
+        finished = self._of(TrialState.COMPLETE)
+        if not self.shared:  # a batch that was cut in two has one leader all the same
+            finished = finished[: len(finished) // self.how.batch * self.how.batch]
+        best, found = math.inf, None
+        for t in finished:
+            if GIVEN_UP in t.user_attrs or LOSSES not in t.user_attrs or not _feasible(t):
+                continue
+            if t.values[0] < best:
+                best, found = t.values[0], t
+        return None if found is None else racing.Leader(best, np.array(found.user_attrs[LOSSES]))
+
+    # ---- telling
+
+    def _tell(self, trial: optuna.Trial, found: Any, seen: Any) -> None:
+        if isinstance(found, Evaluation):
+            for name, value in found.constraints.items():
+                trial.set_constraint(name, value)
+            value = self._statistic(trial, found, seen)
+            costed = getattr(self.goal, "costed", False)
+            found = (value, found.microseconds) if costed else value
+        with contextlib.suppress(optuna.exceptions.UpdateFinishedTrialError):
+            # another process took us for dead and tries this trial again: its word counts
+            self.study.tell(trial, found)
+
+    def _statistic(self, trial: optuna.Trial, found: Evaluation, seen: Any) -> float:
+        """The goal's metric; for a trial that was given up, what it would have come to."""
+        metric = METRICS[self.goal.metric]  # type: ignore[attr-defined]
+        if len(seen) < len(self.goal):  # type: ignore[arg-type]
+            trial.set_user_attr(GIVEN_UP, len(seen))
+            assert self.leader is not None
+            change = float(metric(found.losses)) - float(metric(self.leader.losses[seen]))
+            return self.leader.value + max(change, 0.0)
+        losses = np.empty(len(seen))
+        losses[seen] = found.losses
+        trial.set_user_attr(LOSSES, losses.tolist())
+        return float(metric(losses))
+
+    def _fail(self, asked: Sequence[optuna.Trial]) -> None:
+        """Put unfinished trials back in line, as far as the storage still answers."""
         with contextlib.suppress(Exception):  # the error that matters is on its way
-            study.tell(trial, state=TrialState.FAIL, skip_if_finished=True)
-        if not isinstance(error, KeyboardInterrupt):
-            raise
-        stop.set()
+            open_ = {t.number: t for t in self._of(TrialState.RUNNING)}
+            for trial in asked:
+                if trial.number in open_:
+                    self._again(open_[trial.number])
+
+    # ---- workers that died
+
+    def _again(self, trial: FrozenTrial) -> None:
+        """Mark a trial as failed and put its parameters back in line."""
+        self.study.tell(trial.number, state=TrialState.FAIL)
+        retry()(self.study, trial)
+
+    def _reclaim(self) -> None:
+        """Put back in line what silent workers hold."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+            optuna.storages.fail_stale_trials(self.study)
+        late = dt.datetime.now() - dt.timedelta(seconds=self.how.grace)
+        for t in self._of(TrialState.RUNNING):
+            # killed between asking and its first sign of life, which Optuna never takes for dead
+            if WORKER not in t.user_attrs and t.datetime_start and t.datetime_start < late:
+                with contextlib.suppress(optuna.exceptions.UpdateFinishedTrialError):
+                    self._again(t)
+
+    # ---- reading
+
+    def _of(self, *states: TrialState) -> list[FrozenTrial]:
+        return self.study.get_trials(deepcopy=False, states=states)
+
+    def finished(self) -> list[Trial]:
+        """The finished trials as a user reads them."""
+        return [_readable(self.goal.space, t) for t in self._of(TrialState.COMPLETE)]
+
+    def show(self, bar: Any) -> None:
+        """Move the progress bar to where the study stands."""
+        found = self._of(TrialState.COMPLETE)
+        bar.n = len(found)
+        values = [t.values[0] for t in found if GIVEN_UP not in t.user_attrs and _feasible(t)]
+        if values:
+            bar.set_postfix_str(f"best {min(values):.4g}", refresh=False)
+        bar.update(0)
+
+
+def _readable(space: ParameterSpace, t: FrozenTrial) -> Trial:
+    values = from_optuna(space, t.params)
+    cost = t.values[1] if len(t.values) > 1 else None
+    return Trial(t.number, values, t.values[0], cost, GIVEN_UP in t.user_attrs, _feasible(t))
+
+
+def _feasible(trial: FrozenTrial) -> bool:
+    return all(v <= 0.0 for v in trial.constraints.values())
 
 
 @contextlib.contextmanager
@@ -157,158 +431,3 @@ def _deferred_interrupt() -> Iterator[threading.Event]:
         yield stop
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-def _sampler(seed: int, count: int) -> optuna.samplers.BaseSampler:
-    """A fresh sampler per trial: its draws depend on the history alone, not on who resumed it."""
-    words = np.random.SeedSequence([seed, count]).generate_state(1)
-    return optuna.samplers.TPESampler(
-        seed=int(words[0]), multivariate=True, n_startup_trials=STARTUP_TRIALS
-    )
-
-
-# ---- between a ParameterSpace and Optuna
-
-
-def distributions(space: ParameterSpace) -> dict[str, BaseDistribution]:
-    """Optuna's search space. A log-complement parameter is searched as "1 - name", on a log scale."""
-    return dict(_distribution(p) for p in space)
-
-
-def _distribution(p: Parameter) -> tuple[str, BaseDistribution]:
-    if p.choices:
-        return p.name, CategoricalDistribution(p.choices)
-    if p.integer:
-        return p.name, IntDistribution(round(p.low), round(p.high), log=p.scale == "log")
-    if p.scale == "log-complement":
-        return f"1 - {p.name}", FloatDistribution(1.0 - p.high, 1.0 - p.low, log=True)
-    return p.name, FloatDistribution(p.low, p.high, log=p.scale == "log")
-
-
-def to_optuna(space: ParameterSpace, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters as Optuna names them."""
-    named = {}
-    for p in space:
-        value = p.show(p.check(values[p.name]))
-        complement = p.scale == "log-complement"
-        named[_distribution(p)[0]] = 1.0 - float(value) if complement else value
-    return named
-
-
-def from_optuna(space: ParameterSpace, params: Mapping[str, Any]) -> dict[str, Any]:
-    """Inverse of `to_optuna`."""
-    values = {}
-    for p in space:
-        found = params[_distribution(p)[0]]
-        if p.scale == "log-complement":
-            found = min(max(1.0 - found, p.low), p.high)
-        values[p.name] = p.show(p.check(found))
-    return values
-
-
-# ---- the journal
-
-
-def _open(goal: Goal, seed: int, journal: Path | None) -> optuna.Study:
-    """The study of `goal`, new or continued."""
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
-    storage: BaseStorage = InMemoryStorage() if journal is None else _storage(journal)
-    purpose = _purpose(goal, seed)
-    known = {summary.study_name for summary in optuna.get_all_study_summaries(storage=storage)}
-    if known - {STUDY}:
-        raise ValueError(
-            f"{journal} holds the study {sorted(known)[0]!r}, which navgym did not make: "
-            "name another file."
-        )
-    study = optuna.create_study(storage=storage, study_name=STUDY, load_if_exists=True)
-    found = study.user_attrs.get(GOAL)
-    if found is None:
-        study.set_user_attr(GOAL, purpose)
-    elif found != purpose:
-        raise ValueError(
-            f"{journal} belongs to another search.\n  it holds: {_line(found, purpose)}\n"
-            f"  asked for: {_line(purpose, found)}\nName another folder, or move the file away."
-        )
-    return study
-
-
-def _purpose(goal: Goal, seed: int) -> dict[str, Any]:
-    """What makes two searches the same, as JSON gives it back."""
-    space = [
-        f"{p.name} {'|'.join(p.choices) if p.choices else f'{p.low:g}..{p.high:g} {p.scale}'}"
-        for p in goal.space
-    ]
-    text = json.dumps({"space": space, "goal": dict(goal.about), "seed": seed})
-    purpose: dict[str, Any] = json.loads(text)
-    return purpose
-
-
-def _line(one: Any, other: Any) -> str:
-    """The parts of `one` that `other` does not share, on one line."""
-    if isinstance(one, dict) and isinstance(other, dict):
-        own = {k: v for k, v in one.items() if other.get(k) != v}
-        return "; ".join(f"{k}: {_line(v, other.get(k))}" for k, v in own.items()) or "less"
-    return ", ".join(map(str, one)) if isinstance(one, list) else str(one)
-
-
-def _storage(journal: Path) -> JournalStorage:
-    """The journal file as Optuna's storage, its damaged last line cut off.
-
-    Raises ValueError, naming the line, for a file that is damaged elsewhere or no journal.
-    """
-    journal.parent.mkdir(parents=True, exist_ok=True)
-    if journal.exists():
-        _check(journal)
-    try:
-        # absolute: Optuna's lock is a link that is resolved from its own folder
-        return JournalStorage(JournalFileBackend(str(journal.resolve())))
-    except (ValueError, KeyError, TypeError, AssertionError, AttributeError) as error:
-        raise ValueError(
-            f"{journal} is no Optuna journal ({type(error).__name__}: {error}): name another file."
-        ) from error
-
-
-def _check(journal: Path) -> None:
-    """Drop a last line that a kill or a full disk cut short; ValueError for other damage."""
-    content = journal.read_bytes()
-    whole = content.rfind(b"\n") + 1
-    for number, line in enumerate(content[:whole].splitlines(), start=1):
-        try:
-            entry = json.loads(line)
-        except ValueError:
-            entry = None
-        if not isinstance(entry, dict) or "op_code" not in entry:
-            raise ValueError(
-                f"{journal} is damaged at line {number}: {line[:60]!r} is no journal entry. "
-                "Move the file away to start anew, or cut it off before that line to keep the rest."
-            )
-    if whole < len(content):
-        with journal.open("rb+") as file:
-            file.truncate(whole)
-
-
-def _enqueue(study: optuna.Study, space: ParameterSpace, values: Mapping[str, Any]) -> None:
-    """Put `values` next in line, unless they wait there or were evaluated."""
-    wanted = to_optuna(space, values)
-    for trial in study.get_trials(deepcopy=False, states=(TrialState.WAITING, TrialState.COMPLETE)):
-        if _same(trial.system_attrs.get("fixed_params", trial.params), wanted):
-            return
-    study.enqueue_trial(wanted)
-
-
-def _same(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    return one.keys() == other.keys() and all(
-        math.isclose(one[k], other[k], rel_tol=1e-9) if isinstance(other[k], float) else one[k] == other[k]
-        for k in other
-    )  # fmt: skip
-
-
-def _finished(study: optuna.Study) -> int:
-    return len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)))
-
-
-def _trials(study: optuna.Study, space: ParameterSpace) -> list[Trial]:
-    found: list[FrozenTrial] = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
-    return [
-        Trial(t.number, from_optuna(space, t.params), t.value) for t in found if t.value is not None
-    ]
