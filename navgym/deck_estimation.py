@@ -19,6 +19,7 @@ from navgym.filters.deck import Identified, estimate
 from navgym.flexure import ARCMIN
 from navgym.increments import rodrigues
 from navgym.parameters import parameter_table
+from navgym.tuned import settled
 
 DECISION_SECONDS = 1.0  # per row of a parameter schedule, as in the environment
 UNOBSERVED = np.radians(0.5)  # standard deviation of an attitude that counts as not observed
@@ -103,7 +104,8 @@ def run_deck(
     interval = usual if decision_interval is None else decision_interval
     positive_int("decision_interval", interval)
     steps = batch.tapes.shape[1]
-    table = parameter_table(chosen.space, parameters, len(batch), steps, interval)
+    given = settled(parameters, chosen.name)
+    table = parameter_table(chosen.space, given, len(batch), steps, interval)
     return estimate(chosen, batch, table, interval, everything)
 
 

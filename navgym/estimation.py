@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, overload
@@ -14,6 +15,7 @@ from navgym.batch import Batch
 from navgym.filters.catalogue import CATALOGUE, DECK_CATALOGUE, Filter
 from navgym.parameters import ParameterSpace, parameter_table
 from navgym.recording import Recording
+from navgym.tuned import settled
 
 if TYPE_CHECKING:
     from navgym.deck_estimation import DeckEstimate
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
 
 DECISION_INTERVAL = 5  # filter steps per row of a parameter schedule, as in the environments
 
-Parameters = Mapping[str, Any] | ArrayLike | None
+Parameters = Mapping[str, Any] | ArrayLike | str | os.PathLike[str] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +110,7 @@ def estimate(
         parameters: a dict of tunables (missing ones at their defaults); its values may be lists
             with one number per decision interval, or the whole may be an array (intervals,
             parameters) in the order of `navgym.parameter_space`: a schedule. Its last row holds
-            to the end.
+            to the end. A path reads them from a file that tune.py wrote (`navgym.tuned`).
         decision_interval: samples per row of a schedule: 5 by default, on decks the filter steps
             that make up 1 s.
 
@@ -165,7 +167,7 @@ def run(
         )
     family = importlib.import_module(f"navgym.filters.{chosen.family}")
     table = parameter_table(
-        chosen.space, parameters, len(batch), batch.y.shape[1], decision_interval
+        chosen.space, settled(parameters, filter_name), len(batch), batch.y.shape[1], decision_interval
     )
     outputs: dict[str, Array] = family.estimate(chosen, batch, table, decision_interval, everything)
     return outputs

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,7 +17,7 @@ from navgym.metrics import degrees_of_freedom, run_rmse, squared_error
 from navgym.recording import Recording
 from navgym.scenarios import seeds
 from navgym.simulation import find_scenario, simulate_many
-from tuning.measures import QUANTITIES, bounded, innovation_quantities
+from tuning.measures import QUANTITIES, Judged, bounded, innovation_quantities
 from tuning.recipes import Recipe, remake, travelling
 
 
@@ -29,6 +30,7 @@ class Cases:
         position: the states whose error is scored.
         about: provenance as JSON can hold it: scenario, seeds, overrides.
         recordings: what was stacked, for regimes and plots; empty if only a batch was given.
+        span: shares of each recording's samples between which it is scored, 0 to 1.
         recipe: how they were made, if they can be made again; see `tuning.recipes`.
     """
 
@@ -36,6 +38,7 @@ class Cases:
     position: tuple[int, ...] = (0, 2)
     about: Mapping[str, Any] = field(default_factory=dict)
     recordings: tuple[Recording, ...] = ()
+    span: tuple[float, float] = (0.0, 1.0)
     recipe: Recipe | None = None
 
     half = "auv"
@@ -46,13 +49,18 @@ class Cases:
         return super().__reduce_ex__(protocol) if self.recipe is None else (remake, (self.recipe,))
 
     @classmethod
-    def of(cls, recordings: Sequence[Recording], about: Mapping[str, Any] | None = None) -> Cases:
+    def of(
+        cls,
+        recordings: Sequence[Recording],
+        about: Mapping[str, Any] | None = None,
+        span: tuple[float, float] = (0.0, 1.0),
+    ) -> Cases:
         """Stack `recordings`, which share one model size and one meaning of position."""
         batch = Batch.of(recordings)
         positions = {tuple(r.model.position) for r in recordings}
         if len(positions) > 1:
             raise ValueError(f"recordings must agree on their position states, got {positions}.")
-        return cls(batch, positions.pop(), dict(about or {}), tuple(recordings))
+        return cls(batch, positions.pop(), dict(about or {}), tuple(recordings), span)
 
     @classmethod
     def simulated(
@@ -95,7 +103,7 @@ class Cases:
     def take(self, which: Sequence[int] | NDArray[np.int64]) -> Cases:
         """Some of the recordings, in the order of `which`."""
         chosen = tuple(self.recordings[i] for i in which) if self.recordings else ()
-        return Cases(self.batch.take(which), self.position, self.about, chosen)
+        return Cases(self.batch.take(which), self.position, self.about, chosen, self.span)
 
     def by_regime(self, values: Sequence[float]) -> list[Array]:
         """A parameter's schedule per recording: `values` by the true regime of each sample."""
@@ -111,33 +119,60 @@ class Cases:
                 "errors need recordings with truth to score against: set truth=, or measure "
                 "by likelihood, which needs none."
             )
-        return squared_error(states, self.batch.truth, self.position)
+        return self._scored(squared_error(states, self.batch.truth, self.position))
 
-    def quantities(
+    def _scored(self, each: Array) -> Array:
+        """`each` (N, T), NaN outside the span that is scored."""
+        if self.span == (0.0, 1.0):
+            return each
+        first, last = (np.round(share * self.batch.lengths)[:, None] for share in self.span)
+        k = np.arange(each.shape[1])
+        return np.where((k >= first) & (k < last), each, np.nan)
+
+    def judge(
         self,
         filter_name: str,
         parameters: Any,
         names: Sequence[str],
         decision_interval: int | None = None,
-    ) -> tuple[dict[str, Array], NDArray[np.bool_]]:
-        """Quantities (see `tuning.measures`) of each run (N,), and the filter's flags (N,)."""
+    ) -> Judged:
+        """Run a filter over every recording; its quantities (see `tuning.measures`) by `names`."""
         everything = any(not QUANTITIES[name].needs_truth for name in names)
         interval = decision_interval or DECISION_INTERVAL
+        began = time.perf_counter()
         found = run(filter_name, self.batch, parameters, interval, everything)
+        spent = 1e6 * (time.perf_counter() - began) / self.samples
         made: dict[str, Array] = {}
         if "rmse" in names:
             made["rmse"] = run_rmse(self.squared(found["states"]))
         if everything:
             components = degrees_of_freedom(self.batch.lost)
-            made |= innovation_quantities(found["log_likelihood"], found["nis"], components)
-        return {name: made[name] for name in names}, found["diverged"].astype(np.bool_)
+            logs, nis = (self._scored(found[name]) for name in ("log_likelihood", "nis"))
+            made |= innovation_quantities(logs, nis, components)
+        flags = found["diverged"].astype(np.bool_)
+        return Judged({name: made[name] for name in names}, flags, spent)
+
+    def trace(
+        self, filter_name: str, parameters: Any, name: str, decision_interval: int | None = None
+    ) -> Array:
+        """A quantity over time, (N, T): squared errors (of "rmse"), or what each sample's innovation
+        adds to "nll" or its NIS, per component; NaN where there is nothing to judge.
+        """
+        interval = decision_interval or DECISION_INTERVAL
+        blind = not QUANTITIES[name].needs_truth
+        found = run(filter_name, self.batch, parameters, interval, blind)
+        if not blind:
+            return self.squared(found["states"])
+        heard = degrees_of_freedom(self.batch.lost)
+        each = -found["log_likelihood"] if name == "nll" else found["nis"]
+        return self._scored(np.where(heard > 0, each, np.nan) / np.maximum(heard, 1))
 
     def errors(
         self, filter_name: str, parameters: Any = None, decision_interval: int = DECISION_INTERVAL
     ) -> tuple[Array, NDArray[np.bool_]]:
         """Position RMSE of each run (N,) in m, infinite after a failure, and the filter's flags."""
-        found, flags = self.quantities(filter_name, parameters, ("rmse",), decision_interval)
-        return found["rmse"], flags
+        found = self.judge(filter_name, parameters, ("rmse",), decision_interval)
+        return found.quantities["rmse"], found.flags
 
     def bounded_errors(
         self,
@@ -147,8 +182,8 @@ class Cases:
         decision_interval: int = DECISION_INTERVAL,
     ) -> Array:
         """Position RMSE of each run (N,) in m, a diverged run at its ceiling: see `bounded`."""
-        each, flags = self.errors(filter_name, parameters, decision_interval)
-        return bounded({"rmse": each}, flags, {"rmse": plain})["rmse"]
+        found = self.judge(filter_name, parameters, ("rmse",), decision_interval)
+        return bounded(found, {"rmse": plain})["rmse"]
 
     def plain_errors(self) -> Array:
         """Errors (N,) of the filter that needs no tuning: `kf`, or `ekf` for a nonlinear model."""

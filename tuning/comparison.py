@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -13,9 +12,10 @@ from scipy import stats
 from tqdm import tqdm
 
 from navgym._checks import Array, one_of
-from navgym.estimation import parameter_space, run
-from navgym.metrics import PairedDifference, divergence, paired_difference, run_rmse, score
-from tuning.cases import Cases
+from navgym.estimation import parameter_space
+from navgym.metrics import PairedDifference, paired_difference, score
+from tuning.measures import Judged, Measure, find_measure
+from tuning.objective import AnyCases, checked_measure, plain_quantities
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
@@ -30,19 +30,19 @@ class Entry:
         filter: a name of `navgym.filters()`.
         parameters: as `navgym.estimate` takes them; None for the defaults.
         bound: whether it needs the truth, and so bounds what can be reached.
-        interval: filter steps per row of a schedule.
+        interval: filter steps per row of a schedule; None for the half's usual.
     """
 
     label: str
     filter: str
     parameters: Any = None
     bound: bool = False
-    interval: int = 5
+    interval: int | None = None
 
 
 @dataclass(frozen=True)
 class Row:
-    """What one contender did: errors are position RMSE in m.
+    """What one contender did, by the comparison's measure.
 
     Args:
         label: its name.
@@ -91,10 +91,11 @@ class Comparison:
         rows: one per entry.
         reference: label of the row that gains are relative to.
         about: provenance of the recordings.
-        errors: per label, position RMSE of each run (N,) in m.
+        errors: per label, the measure of each run (N,).
         microseconds: per label, wall time per filter step here: the only part of a comparison
             that another machine gives otherwise.
-        squared: per label, squared errors (N, T) in m², for those that were asked for.
+        squared: per label, squared errors over time (N, T), for those that were asked for.
+        measure: what runs are judged by; the position RMSE by default.
     """
 
     rows: tuple[Row, ...]
@@ -103,6 +104,7 @@ class Comparison:
     errors: Mapping[str, Array]
     microseconds: Mapping[str, float]
     squared: Mapping[str, Array] = field(default_factory=dict)
+    measure: Measure = field(default_factory=lambda: find_measure("auv", None))
 
     def __getitem__(self, label: str) -> Row:
         return self.rows[[r.label for r in self.rows].index(self._known(label))]
@@ -112,15 +114,15 @@ class Comparison:
 
     def difference(self, label: str, other: str) -> PairedDifference:
         """`label` against `other`, paired."""
-        a, b = self.errors[self._known(label)], self.errors[self._known(other)]
-        return paired_difference(a, b, CONFIDENCE, RESAMPLES)
+        return _difference(self.errors[self._known(label)], self.errors[self._known(other)])
 
     def as_dict(self) -> dict[str, Any]:
         """Everything that another machine would find too, as JSON can hold it."""
         rows = [{k: _plain(v) for k, v in asdict(row).items()} for row in self.rows]
         runs = len(next(iter(self.errors.values())))
         about = dict(self.about)
-        return {"recordings": about, "runs": runs, "reference": self.reference, "rows": rows}
+        named = {"measure": self.measure.axis, "reference": self.reference}
+        return {"recordings": about, "runs": runs, **named, "rows": rows}
 
     def _known(self, label: str) -> str:
         return one_of("entry", label, self.errors)
@@ -128,12 +130,13 @@ class Comparison:
 
 def compare(
     entries: Sequence[Entry],
-    cases: Cases,
+    cases: AnyCases,
     reference: str,
     plain: str = "kf",
     oracle: str = "oracle",
     keep: Sequence[str] = (),
     progress: str = "",
+    measure: str | None = None,
 ) -> Comparison:
     """Run every entry on the same recordings.
 
@@ -145,6 +148,7 @@ def compare(
         oracle: label of the one that scores 1; without such an entry there are no scores.
         keep: labels whose squared errors over time are kept, for plots.
         progress: what to call the progress bar; none if empty.
+        measure: a name of `tuning.measures.MEASURES`; the half's own by default.
 
     Raises:
         ValueError: labels that are not distinct, an unknown `reference`.
@@ -153,45 +157,77 @@ def compare(
     if len(set(labels)) < len(labels):
         raise ValueError(f"entries must have distinct labels, got {labels}.")
     one_of("entry", reference, labels)
+    chosen = checked_measure(cases, measure)
+    scale = plain_quantities(cases, chosen) if len(chosen.parts) > 1 else {}
     errors: dict[str, Array] = {}
-    flags: dict[str, Array] = {}
+    flags: dict[str, Any] = {}
     microseconds: dict[str, float] = {}
-    squared: dict[str, Array] = {}
     for entry in tqdm(entries, desc=progress, disable=not progress):
-        found, microseconds[entry.label] = _timed(entry, cases)
-        square = cases.squared(found["states"])
-        errors[entry.label], flags[entry.label] = run_rmse(square), found["diverged"]
-        if entry.label in keep:
-            squared[entry.label] = square
+        found = _judged(entry, cases, chosen)
+        errors[entry.label] = chosen.losses(found.quantities, scale)
+        flags[entry.label], microseconds[entry.label] = found.flags, found.microseconds
+    kept = {e.label: _trace(e, cases, chosen) for e in entries if e.label in keep}
+    rows = rows_of(entries, errors, flags, reference, (plain, oracle), chosen, cases.half)
+    return Comparison(rows, reference, cases.about, errors, microseconds, kept, chosen)
+
+
+def _judged(entry: Entry, cases: AnyCases, measure: Measure) -> Judged:
+    """The entry's runs, timed with its kernels loaded."""
+    if not isinstance(entry.parameters, list):
+        cases.take([0]).judge(entry.filter, entry.parameters, measure.quantities, entry.interval)
+    return cases.judge(entry.filter, entry.parameters, measure.quantities, entry.interval)
+
+
+def _trace(entry: Entry, cases: AnyCases, measure: Measure) -> Array:
+    return cases.trace(entry.filter, entry.parameters, measure.parts[0], entry.interval)
+
+
+def rows_of(
+    entries: Sequence[Entry],
+    errors: Mapping[str, Array],
+    flags: Mapping[str, Any],
+    reference: str,
+    ends: tuple[str, str],
+    measure: Measure,
+    half: str,
+) -> tuple[Row, ...]:
+    """A row per entry from errors and flags (N,) that are already there, by label.
+
+    Divergence is judged against the oracle, or else the plain filter.
+
+    Args:
+        entries: contenders with distinct labels.
+        errors: the measure of each run.
+        flags: each filter's own word that a run diverged.
+        reference: label that gains are relative to.
+        ends: labels of the filters that score 0 and 1.
+        measure: what the errors are.
+        half: "auv" or "deck".
+    """
+    plain, oracle = ends
     yardstick = errors.get(oracle, errors.get(plain))
-    ends = [float(errors[x].mean()) if x in errors else math.nan for x in (plain, oracle)]
+    scored = measure.needs_truth  # a likelihood has no zero to score from
+    means = [float(errors[x].mean()) if scored and x in errors else math.nan for x in ends]
     rows = []
     for entry in entries:
         each = errors[entry.label]
-        lost = float(divergence(each, flags[entry.label], yardstick).mean())
-        rows.append(_row(entry, each, lost, errors[reference], (ends[0], ends[1])))
-    return Comparison(tuple(rows), reference, cases.about, errors, microseconds, squared)
-
-
-def _timed(entry: Entry, cases: Cases) -> tuple[dict[str, Array], float]:
-    """The entry's estimates, and µs per filter step (kernels already loaded)."""
-    first = cases.recordings[:1] if not isinstance(entry.parameters, list) else ()
-    if first:
-        Cases.of(first).errors(entry.filter, entry.parameters, entry.interval)
-    began = time.perf_counter()
-    found = run(entry.filter, cases.batch, entry.parameters, entry.interval)
-    return found, (time.perf_counter() - began) / cases.batch.lost[..., 0].size * 1e6
+        lost = flags[entry.label] | ~np.isfinite(each)
+        if yardstick is not None:
+            lost = lost | (each > measure.ceiling(yardstick))
+        rows.append(
+            _row(entry, each, float(lost.mean()), errors[reference], (means[0], means[1]), half)
+        )
+    return tuple(rows)
 
 
 def _row(
-    entry: Entry, each: Array, lost: float, reference: Array, ends: tuple[float, float]
+    entry: Entry, each: Array, lost: float, reference: Array, ends: tuple[float, float], half: str
 ) -> Row:
     mean, low, high = _mean(each)
-    gain = paired_difference(each, reference, CONFIDENCE, RESAMPLES)
+    gain = _difference(each, reference)
     scheduled = isinstance(entry.parameters, list)
-    values = parameter_space(entry.filter).defaults | dict(
-        {} if scheduled else entry.parameters or {}
-    )
+    space = parameter_space(entry.filter, deck=half == "deck")
+    values = space.defaults | dict({} if scheduled else entry.parameters or {})
     known = all(map(math.isfinite, (*ends, mean)))
     return Row(
         entry.label, entry.filter, "schedule" if scheduled else values, entry.bound,
@@ -201,16 +237,26 @@ def _row(
     )  # fmt: skip
 
 
+def _difference(a: Array, b: Array) -> PairedDifference:
+    """`a` against `b`, paired; without intervals where there is a single pair (one log)."""
+    if len(a) > 1:
+        return paired_difference(a, b, CONFIDENCE, RESAMPLES)
+    d, gain = float(a[0] - b[0]), float(1.0 - a[0] / b[0]) if b[0] > 0.0 else math.nan
+    nan = math.nan
+    failed = [float(not math.isfinite(x)) for x in (a[0], b[0])]
+    return PairedDifference(1, d, nan, nan, gain, nan, nan, nan, d, failed[0], failed[1])
+
+
 def _mean(each: Array) -> tuple[float, float, float]:
     """Mean of independent runs with its t interval; no interval where a run failed."""
     if not np.isfinite(each).all():
         return math.inf, math.nan, math.nan
-    half = 0.0
+    around = 0.0
     if len(each) > 1:
         factor = stats.t.ppf((1.0 + CONFIDENCE) / 2.0, len(each) - 1)
-        half = float(factor * each.std(ddof=1) / math.sqrt(len(each)))
+        around = float(factor * each.std(ddof=1) / math.sqrt(len(each)))
     mean = float(each.mean())
-    return mean, mean - half, mean + half
+    return mean, mean - around, mean + around
 
 
 def _plain(value: Any) -> Any:

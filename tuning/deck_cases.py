@@ -16,10 +16,10 @@ from navgym.deck_estimation import run_deck
 from navgym.dual_imu import DualIMURecording
 from navgym.filters.catalogue import Filter
 from navgym.metrics import PairedDifference, paired_difference
-from navgym.metrics.deck import START, DeckErrors, deck_errors
+from navgym.metrics.deck import START, DeckErrors, deck_errors, run_errors
 from navgym.scenarios import seeds
 from navgym.simulation import simulate_many
-from tuning.measures import QUANTITIES, innovation_quantities
+from tuning.measures import QUANTITIES, Judged, innovation_quantities
 from tuning.recipes import Recipe, remake, travelling
 
 
@@ -30,11 +30,14 @@ class DeckCases:
     Args:
         batch: the recordings.
         about: provenance as JSON can hold it: scenario, seeds, overrides.
+        span: shares of each recording's steps between which innovations are judged; errors against
+            the truth always count whole.
         recipe: how they were made, if they can be made again; see `tuning.recipes`.
     """
 
     batch: DeckBatch
     about: Mapping[str, Any] = field(default_factory=dict)
+    span: tuple[float, float] = (0.0, 1.0)
     recipe: Recipe | None = None
 
     half = "deck"
@@ -46,10 +49,13 @@ class DeckCases:
 
     @classmethod
     def of(
-        cls, recordings: Sequence[DualIMURecording], about: Mapping[str, Any] | None = None
+        cls,
+        recordings: Sequence[DualIMURecording],
+        about: Mapping[str, Any] | None = None,
+        span: tuple[float, float] = (0.0, 1.0),
     ) -> DeckCases:
         """Mechanise `recordings`, which share one filter step."""
-        return cls(DeckBatch.of(recordings), dict(about or {}))
+        return cls(DeckBatch.of(recordings), dict(about or {}), span)
 
     @classmethod
     def simulated(
@@ -79,46 +85,90 @@ class DeckCases:
 
     def take(self, which: Sequence[int] | NDArray[np.int64]) -> DeckCases:
         """Some of the recordings, in the order of `which`."""
-        return DeckCases(self.batch.take(which), self.about)
+        return DeckCases(self.batch.take(which), self.about, self.span)
 
-    def quantities(
+    def judge(
         self,
         filter_name: str,
         parameters: Any,
         names: Sequence[str],
         decision_interval: int | None = None,
-    ) -> tuple[dict[str, Array], NDArray[np.bool_]]:
-        """Quantities (see `tuning.measures`) of each run (N,), and the filter's flags (N,)."""
-        blind = [name for name in names if not QUANTITIES[name].needs_truth]
+    ) -> Judged:
+        """Run a filter over every recording; its quantities (see `tuning.measures`) by `names`."""
         made: dict[str, Array] = {}
         flags = np.zeros(len(self), dtype=np.bool_)
-        if len(blind) < len(names):
-            found = run_deck(filter_name, self.batch, parameters, decision_interval)
-            errors = deck_errors(self.batch, found["states"], attitude="attitude" in names)
-            made |= errors.norm
-            flags |= found["diverged"]
-        if blind:
-            own, failed = self._innovations(filter_name, parameters, decision_interval)
-            made |= own
-            flags |= failed
-        return {name: made[name] for name in names}, flags
+        spent = 0.0
+        if any(QUANTITIES[name].needs_truth for name in names):
+            tried = self.try_out(
+                filter_name, parameters, decision_interval, attitude="attitude" in names
+            )
+            made |= tried.errors.norm
+            flags |= tried.diverged.astype(np.bool_)
+            spent += tried.microseconds
+        if not all(QUANTITIES[name].needs_truth for name in names):
+            own = self._innovations(filter_name, parameters, decision_interval)
+            made |= own.quantities
+            flags |= own.flags
+            spent += own.microseconds
+        return Judged({name: made[name] for name in names}, flags, spent)
 
     def _innovations(
         self, filter_name: str, parameters: Any, decision_interval: int | None
-    ) -> tuple[dict[str, Array], NDArray[np.bool_]]:
+    ) -> Judged:
         """What innovations say, run by run: with their covariances all runs would fill gigabytes."""
-        first = round(START / self.batch.step)
         rows, flags = [], []
+        began = time.perf_counter()
         for i in range(len(self)):
-            own = parameters[i] if isinstance(parameters, list) else parameters
-            one = self.batch.take([i])
-            found = run_deck(filter_name, one, own, decision_interval, everything=True)
-            wide = found["wide"][:, first:]
-            components = np.isfinite(wide[..., :6]).sum(axis=-1)
-            rows.append(innovation_quantities(wide[..., 16], wide[..., 15], components))
-            flags.append(bool(found["diverged"][0]))
+            wide, diverged = self._wide(i, filter_name, parameters, decision_interval)
+            judged = wide[:, self._scored(i)]
+            components = np.isfinite(judged[..., :6]).sum(axis=-1)
+            rows.append(innovation_quantities(judged[..., 16], judged[..., 15], components))
+            flags.append(diverged)
+        spent = 1e6 * (time.perf_counter() - began) / self.samples
         joined = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
-        return joined, np.array(flags)
+        return Judged(joined, np.array(flags), spent)
+
+    def _wide(
+        self, i: int, filter_name: str, parameters: Any, decision_interval: int | None
+    ) -> tuple[Array, bool]:
+        """What belongs to each innovation of recording i (1, K, ·), and whether the filter diverged."""
+        own = [parameters[i]] if isinstance(parameters, list) else parameters
+        found = run_deck(filter_name, self.batch.take([i]), own, decision_interval, everything=True)
+        return found["wide"], bool(found["diverged"][0])
+
+    def _scored(self, i: int) -> slice:
+        """The steps of recording i whose innovations are judged, its alignment left out."""
+        length = int(self.batch.lengths[i])
+        first, last = (round(share * length) for share in self.span)
+        first = max(first, round(START / self.batch.step))
+        if first >= last:
+            raise ValueError(
+                f"recordings must be longer than the {START:g} s that are not scored, got "
+                f"{last * self.batch.step:g} s."
+            )
+        return slice(first, last)
+
+    def trace(
+        self, filter_name: str, parameters: Any, name: str, decision_interval: int | None = None
+    ) -> Array:
+        """A quantity over time, (N, K): squared lengths of errors in arcmin² (of θ̇: (arcmin/s)²), or
+        what each step's innovation adds to "nll" or its NIS, per component; NaN past an end.
+        """
+        count, steps = self.batch.tapes.shape
+        found = np.full((count, steps), np.nan)
+        states: Array | None = None
+        if QUANTITIES[name].needs_truth:
+            states = run_deck(filter_name, self.batch, parameters, decision_interval)["states"]
+        for i, length in enumerate(self.batch.lengths):
+            if states is None:
+                wide, _ = self._wide(i, filter_name, parameters, decision_interval)
+                heard = np.isfinite(wide[0, :length, :6]).sum(axis=-1)
+                each = -wide[0, :length, 16] if name == "nll" else wide[0, :length, 15]
+                found[i, :length] = each / np.where(heard > 0, heard, np.nan)
+            else:
+                errors = run_errors(self.batch, i, states[i, :length], name == "attitude")
+                found[i, :length] = (errors[name] ** 2).sum(axis=1)
+        return found
 
     @property
     def recordings(self) -> Sequence[DualIMURecording]:

@@ -66,7 +66,7 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
             "--scheduler needs dask.distributed: pip install 'navgym[cluster]'."
         ) from error
     try:
-        client: Any = Client(scheduler, timeout=10)
+        client: Any = Client(scheduler, timeout=10)  # type: ignore[no-untyped-call]
     except (OSError, TimeoutError, ValueError) as error:
         raise OSError(
             f"the dask scheduler at {scheduler} does not answer ({error}): start it with "

@@ -19,6 +19,7 @@ from navgym.simulation import simulate_many
 from tuning.cases import Cases
 from tuning.comparison import Comparison, Entry
 from tuning.objective import Objective
+from tuning.recipes import travelling
 from tuning.schedule import RegimeTable
 from tuning.selection import confirm
 from tuning.study import Outcome, Trial, search
@@ -116,9 +117,10 @@ def regime_table(
 
 def _by_noise(table: RegimeTable, start: Mapping[str, Any]) -> dict[str, Any]:
     """A first guess: the true Q of each regime, and slow forgetting where R is constant."""
+    assert isinstance(table.cases, Cases)
     recordings = table.cases.recordings
     guess = table.same_everywhere(start)
-    for label, name in enumerate(table.regimes):
+    for label, name in enumerate(table.cases.regimes):
         q = [r.process_scale[r.regime == label] for r in recordings if (r.regime == label).any()]
         guess[f"process_noise_scale [{name}]"] = float(np.concatenate(q).mean())
     return guess
@@ -127,6 +129,7 @@ def _by_noise(table: RegimeTable, start: Mapping[str, Any]) -> dict[str, Any]:
 # ---- real tracks
 
 
+@travelling
 def real_cases(
     folder: Path | None, rate: float, draws: int, split: str, tracks: Sequence[int] = TRACKS
 ) -> Cases:

@@ -60,6 +60,21 @@ QUANTITIES: Mapping[str, Quantity] = MappingProxyType(
 )
 
 
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What the runs of one filter came to.
+
+    Args:
+        quantities: (N,) each; infinite or NaN where a run failed.
+        flags: (N,) the filter's own word that it diverged.
+        microseconds: per filter step, of filtering alone.
+    """
+
+    quantities: Mapping[str, Array]
+    flags: NDArray[np.bool_]
+    microseconds: float
+
+
 @dataclass(frozen=True)
 class Measure:
     """What a study minimises, per recording.
@@ -102,6 +117,10 @@ class Measure:
     def axis(self) -> str:
         """Label and unit."""
         return f"{self.label}, {self.unit}" if self.unit else self.label
+
+    def ceiling(self, plain: Array) -> Array:
+        """What a diverged run's measure is at least, given the plain filter's (N,)."""
+        return QUANTITIES[self.parts[0]].ceiling(plain)
 
     def losses(self, found: Mapping[str, Array], plain: Mapping[str, Array]) -> Array:
         """The measure of each run (n,), from its quantities and the plain filter's (N,)."""
@@ -154,23 +173,20 @@ def find_measure(half: str, name: str | None) -> Measure:
     return next(iter(known.values())) if name is None else known[one_of("measure", name, known)]
 
 
-def bounded(
-    found: Mapping[str, Array], flags: NDArray[np.bool_], plain: Mapping[str, Array]
-) -> dict[str, Array]:
+def bounded(found: Judged, plain: Mapping[str, Array]) -> dict[str, Array]:
     """Quantities (n,), where divergence has a price that is finite and high.
 
     A run that diverged (flagged, not finite, or worse than its ceiling) counts as exactly the
     ceiling: it can neither win nor drown the other runs.
 
     Args:
-        found: quantities of each run.
-        flags: (n,) the filter's own flags.
+        found: of each run.
         plain: the same quantities of a filter that needs no tuning, on the same runs.
     """
     kept = {}
-    for name, each in found.items():
+    for name, each in found.quantities.items():
         ceiling = QUANTITIES[name].ceiling(plain[name])
-        bad = flags | ~np.isfinite(each) | ~(each <= ceiling)
+        bad = found.flags | ~np.isfinite(each) | ~(each <= ceiling)
         kept[name] = np.where(bad, ceiling, each)
     return kept
 

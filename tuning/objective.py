@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
@@ -154,21 +153,17 @@ class Objective:
         shares = dict(self.measure.limits)
         if not shares:
             return {}
-        found, _ = self.cases.quantities(self.filter_name, self.fixed, tuple(shares))
+        found = self.cases.judge(self.filter_name, self.fixed, tuple(shares)).quantities
         return {q: float(found[q].mean()) * (1.0 + share) for q, share in shares.items()}
 
     def evaluate(self, values: Mapping[str, Any], which: Sequence[int] | None = None) -> Evaluation:
         """Losses of the recordings `which`, in one call of the kernel."""
         cases = self.cases if which is None else self.cases.take(which)
         plain = self.plain if which is None else {q: p[which] for q, p in self.plain.items()}
-        began = time.perf_counter()
-        found, flags = cases.quantities(
-            self.filter_name, self.fixed | dict(values), self.measure.quantities
-        )
-        spent = 1e6 * (time.perf_counter() - began) / cases.samples
-        kept = bounded(found, flags, plain)
+        found = cases.judge(self.filter_name, self.fixed | dict(values), self.measure.quantities)
+        kept = bounded(found, plain)
         limits = {q: kept[q] / allowed for q, allowed in self._allowed.items()}
-        return Evaluation(self.measure.losses(kept, self.plain), limits, spent)
+        return Evaluation(self.measure.losses(kept, self.plain), limits, found.microseconds)
 
     def errors(self, values: Mapping[str, Any]) -> Array:
         """Loss of each run (N,), bounded."""
@@ -197,7 +192,7 @@ def checked_measure(cases: AnyCases, name: str | None) -> Measure:
 
 def plain_quantities(cases: AnyCases, measure: Measure) -> dict[str, Array]:
     """The measure's quantities (N,) of the filter that needs no tuning."""
-    return cases.quantities(cases.plain, None, measure.quantities)[0]
+    return dict(cases.judge(cases.plain, None, measure.quantities).quantities)
 
 
 def _space(whole: ParameterSpace, free: Iterable[str | Parameter]) -> ParameterSpace:
@@ -290,6 +285,41 @@ class Pooled:
     def __call__(self, values: Mapping[str, Any]) -> float:
         """The metric of the pooled losses."""
         return float(METRICS[self.metric](self.evaluate(values).losses))
+
+
+class Costed:
+    """A goal whose time per filter step is minimised beside it: a study of two objectives.
+
+    Times are the least of a few measurements. They are the machine's, so such a study repeats as far
+    as the clock does.
+
+    Args:
+        goal: what else to minimise.
+    """
+
+    costed = True
+    REPEATS = 3
+
+    def __init__(self, goal: InstanceGoal) -> None:
+        self.goal = goal
+        self.space, self.metric = goal.space, goal.metric
+
+    def __len__(self) -> int:
+        return len(self.goal)
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """What the goal depends on."""
+        return {"and time per filter step": dict(self.goal.about)}
+
+    def evaluate(self, values: Mapping[str, Any], which: Sequence[int] | None = None) -> Evaluation:
+        """The goal's evaluation, its time measured a few times."""
+        found = [self.goal.evaluate(values, which) for _ in range(self.REPEATS)]
+        return dataclasses.replace(found[0], microseconds=min(f.microseconds for f in found))
+
+    def __call__(self, values: Mapping[str, Any]) -> float:
+        """The goal alone."""
+        return self.goal(values)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import io
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Protocol
 
 import matplotlib as mpl
 import numpy as np
@@ -88,26 +88,27 @@ def color_of(row: Row, best: str = "", own: Sequence[str] = ()) -> str:
 # ---- the ladder
 
 
-def ladder(found: Comparison, own: Sequence[str], caption: str) -> Figure:
+def ladder(found: Comparison, own: Sequence[str], caption: str, ranked: bool = True) -> Figure:
     """Mean error of each contender as bars with confidence intervals, the best on top.
 
-    Bars that would leave the others invisible are cut, and say so.
+    Bars that would leave the others invisible are cut, and say so. Not `ranked`, the bars keep the
+    comparison's own order.
     """
-    rows = sorted(found.rows, key=lambda r: r.mean)
+    rows = sorted(found.rows, key=lambda r: r.mean) if ranked else list(found.rows)
     reach = _reach(rows)
-    best = next(r.label for r in rows if not r.bound)
+    best = min((r for r in rows if not r.bound), key=lambda r: r.mean).label
     with drawing(caption, 0.6 + 0.34 * len(rows)) as (axes, made):
         for i, row in enumerate(rows):
             _bar(axes, i, row, reach, color_of(row, best, own))
         axes.set_yticks(range(len(rows)), [_named(r) for r in rows])
         axes.invert_yaxis()
         axes.set_xlim(0.0, reach * 1.17)
-        axes.set_xlabel("position RMSE, mean over runs, m")
+        axes.set_xlabel(f"{found.measure.axis}: mean over runs")
         axes.tick_params(axis="y", length=0)
         axes.grid(axis="x")
         axes.set_axisbelow(True)
         axes.spines["left"].set_visible(False)
-        bound = next((r for r in rows if r.bound), None)
+        bound = min((r for r in rows if r.bound), key=lambda r: r.mean, default=None)
         if bound is not None:
             axes.axvline(bound.mean, color=FAINT, lw=1.0, ls=(0, (4, 3)))
     return made[0]
@@ -131,7 +132,7 @@ def _bar(axes: Axes, i: int, row: Row, reach: float, color: str) -> None:
     axes.barh(i, length, 0.66, facecolor=face, edgecolor=color, lw=1.0)
     if not cut and np.isfinite(row.high):
         axes.plot([row.low, row.high], [i, i], color=INK, lw=1.4, solid_capstyle="butt")
-    text = f"{row.mean:.3f}" if not cut else f"{row.mean:,.0f} m →"
+    text = f"{row.mean:.3f}" if not cut else f"{row.mean:,.0f} →"
     if not np.isfinite(row.mean):
         text = "no number →"
     if row.diverges:
@@ -188,7 +189,7 @@ def example(
         names = recording.meta["regimes"]
         tints = dict(zip(names, TINTS, strict=False))
         for axes in (above, below):
-            _shade(axes, recording, [tints[name] for name in names])
+            shade(axes, recording.time, recording.regime, [tints[name] for name in names])
         handles, labels = above.get_legend_handles_labels()
         handles += [Patch(color=tints[name], alpha=0.22) for name in names]
         labels += [f"true regime: {name}" for name in names]
@@ -206,11 +207,11 @@ def example(
     return made[0]
 
 
-def _shade(axes: Axes, recording: Recording, tints: Sequence[str]) -> None:
+def shade(axes: Axes, time: Array, regime: NDArray[np.int64], tints: Sequence[str]) -> None:
     """Tint the spans of each true regime."""
-    for start, stop, label in _spans(recording.regime):
-        end = recording.time[min(stop, len(recording) - 1)]
-        axes.axvspan(recording.time[start], end, color=tints[label], alpha=0.16, lw=0)
+    for start, stop, label in _spans(regime):
+        end = time[min(stop, len(time) - 1)]
+        axes.axvspan(time[start], end, color=tints[label], alpha=0.16, lw=0)
 
 
 def _spans(labels: NDArray[np.int64]) -> Iterator[tuple[int, int, int]]:
@@ -220,35 +221,64 @@ def _spans(labels: NDArray[np.int64]) -> Iterator[tuple[int, int, int]]:
         yield start, stop, int(labels[start])
 
 
+class Labelled(Protocol):
+    """Something with a true regime at each moment."""
+
+    @property
+    def regime(self) -> NDArray[np.int64]:
+        """(T,) labels."""
+
+    @property
+    def meta(self) -> Mapping[str, Any]:
+        """Holds the names of the labels, `regimes`."""
+
+
 def after_switch(
-    recordings: Sequence[Recording],
+    recordings: Sequence[Labelled],
     squared: Mapping[str, Array],
     colors: Mapping[str, str],
     caption: str,
     before: int = 15,
     after: int = 50,
+    axis: str = "position RMSE, m",
 ) -> Figure:
-    """RMSE over all switches into each regime, aligned at the switch, with 95 % bands."""
+    """RMSE over all switches into each regime, aligned at the switch, with 95 % bands.
+
+    Args:
+        recordings: what the errors belong to, one sample per second.
+        squared: per label, squared errors (N, T).
+        colors: per label.
+        caption: of the figure.
+        before: seconds to show before a switch.
+        after: and after it.
+        axis: what the errors are.
+    """
     names = recordings[0].meta["regimes"]
-    grid = {"ncols": len(names), "sharey": True, "sharex": True, "squeeze": False}
-    with drawing(caption, 3.3, **grid) as (panels, made):
-        for label, (axes, name) in enumerate(zip(panels[0], names, strict=True)):
+    columns = len(names) if len(names) <= 4 else 3
+    rows = -(-len(names) // columns)
+    grid = {"ncols": columns, "nrows": rows, "sharey": True, "sharex": True, "squeeze": False}
+    with drawing(caption, 3.3 * rows if rows == 1 else 2.7 * rows, **grid) as (panels, made):
+        for spare in panels.flat[len(names) :]:
+            spare.set_visible(False)
+        for label, (axes, name) in enumerate(zip(panels.flat, names, strict=False)):
             places = list(_switches(recordings, label, before, after))
             for key, errors in squared.items():
-                windows = np.array([errors[i, k - before : k + after] for i, k in places])
-                _band(axes, np.arange(-before, after), windows, colors[key], key)
+                if len(places) > 1:  # a band needs two
+                    windows = np.array([errors[i, k - before : k + after] for i, k in places])
+                    _band(axes, np.arange(-before, after), windows, colors[key], key)
             axes.axvline(0.0, color=INK, lw=0.8, ls=(0, (2, 2)))
-            axes.set_title(f"into {name} ({len(places)} switches)")
+            axes.set_title(f"into {name} ({len(places)})")
             axes.set_xlabel("s after the switch")
             axes.grid(axis="y")
         _log(panels[0][0])
-        panels[0][0].set_ylabel("position RMSE, m")
+        for axes in panels[:, 0]:
+            axes.set_ylabel(axis)
         panels[0][0].legend(loc="upper right", fontsize=9)
     return made[0]
 
 
 def _switches(
-    recordings: Sequence[Recording], label: int, before: int, after: int
+    recordings: Sequence[Labelled], label: int, before: int, after: int
 ) -> Iterator[tuple[int, int]]:
     """(recording, sample) of every switch into a regime that lasts as long as the window."""
     for i, recording in enumerate(recordings):
@@ -270,7 +300,9 @@ def _band(axes: Axes, x: NDArray[Any], windows: Array, color: str, label: str) -
 # ---- the study
 
 
-def history(outcome: Outcome, default: float, caption: str) -> Figure:
+def history(
+    outcome: Outcome, default: float, caption: str, axis: str = "position RMSE, m"
+) -> Figure:
     """Every trial, the best so far, and where the defaults stand; what is far off is cut."""
     results = np.array([t.result for t in outcome.trials])
     count, low = np.arange(1, len(results) + 1), results.min()
@@ -293,7 +325,7 @@ def history(outcome: Outcome, default: float, caption: str) -> Figure:
         )
         axes.set_ylim(low - 0.06 * (top - low), top * 1.04)
         axes.set_xlabel("trial")
-        axes.set_ylabel("objective, m")
+        axes.set_ylabel(f"objective: {axis}")
         axes.grid(axis="y")
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=9)
     return made[0]

@@ -3,25 +3,51 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from navgym.parameters import ParameterSpace
-from tuning.objective import Goal
+from tuning.measures import METRICS
+from tuning.objective import Evaluation, Goal, InstanceGoal
+from tuning.racing import evaluate
 from tuning.study import Outcome, Trial
 
 TOP = 8  # trials that are looked at again
 
 
-def confirm(outcome: Outcome, fresh: Goal, top: int = TOP) -> Trial:
+def confirm(
+    outcome: Outcome,
+    fresh: Goal,
+    top: int = TOP,
+    run: Callable[[Sequence[tuple[Any, ...]]], list[Any]] | None = None,
+) -> Trial:
     """The best of the `top` trials on recordings that the study has not seen.
 
     The first of a hundred trials is the luckiest as well as one of the best; the result carried by
-    the returned trial is that on the fresh recordings.
+    the returned trial is that on the fresh recordings. A trial that breaks a limit there is chosen only
+    if all do.
+
+    Args:
+        outcome: of the study.
+        fresh: the goal on other recordings.
+        top: how many leaders.
+        run: evaluates many calls of `tuning.racing.evaluate`; here, by default.
     """
-    leaders = sorted(outcome.trials, key=lambda t: t.result)[:top]
-    again = [Trial(t.number, t.values, fresh(t.values)) for t in leaders]
-    return min(again, key=lambda t: t.result)
+    leaders = sorted(outcome.trials, key=lambda t: (not t.feasible, t.given_up, t.result))[:top]
+    calls = [(fresh, dict(t.values), None) for t in leaders]
+    found = [evaluate(*call) for call in calls] if run is None else run(calls)
+    again = [_again(t, fresh, f) for t, f in zip(leaders, found, strict=True)]
+    return min(again, key=lambda t: (not t.feasible, t.result))
+
+
+def _again(trial: Trial, fresh: Goal, found: Any) -> Trial:
+    if not isinstance(found, Evaluation):
+        return Trial(trial.number, trial.values, found)
+    assert isinstance(fresh, InstanceGoal)
+    result = float(METRICS[fresh.metric](found.losses))
+    feasible = all(v <= 0.0 for v in found.constraints.values())
+    cost = found.microseconds if getattr(fresh, "costed", False) else None
+    return Trial(trial.number, trial.values, result, cost, feasible=feasible)
 
 
 def rounded(space: ParameterSpace, values: Mapping[str, Any], digits: int = 2) -> dict[str, Any]:

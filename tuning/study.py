@@ -42,10 +42,11 @@ from tuning.storage import (
     Where,
     is_url,
     opened,
+    record_life,
     retry,
     signs_of_life,
     unreachable,
-)  # fmt: skip
+)
 
 STUDY = "navgym"  # the usual name: one study per journal
 # attributes of trials: losses per instance, instances seen before the trial was given up, its worker

@@ -13,11 +13,13 @@ from tuning.report import Table
 NOTHING = "–"
 
 
-def ladder(found: Comparison, own: Sequence[str] = (), caption: str = "") -> Table:
-    """A comparison from the smallest to the largest error."""
-    rows = sorted(found.rows, key=lambda r: r.mean)
+def ladder(
+    found: Comparison, own: Sequence[str] = (), caption: str = "", ranked: bool = True
+) -> Table:
+    """A comparison from the smallest to the largest error, or (not `ranked`) in its own order."""
+    rows = sorted(found.rows, key=lambda r: r.mean) if ranked else list(found.rows)
     scored = any(math.isfinite(r.score) for r in rows)
-    head = ["filter", "RMSE, m", "median", "diverged", f"gain over {found.reference}", "p"]
+    head = ["filter", found.measure.axis, "median", "diverged", f"gain over {found.reference}", "p"]
     head += ["score"] if scored else []
     head.append("µs/step")
     cells = []
@@ -82,12 +84,13 @@ def parameters(space: ParameterSpace, sets: Mapping[str, Mapping[str, Any]], cap
     rows = []
     for p in space:
         limits = " | ".join(p.choices) if p.choices else f"{p.low:g} … {p.high:g}"
-        values = [_value(values.get(p.name, p.show(p.default))) for values in sets.values()]
+        values = [value(values.get(p.name, p.show(p.default))) for values in sets.values()]
         rows.append([p.name, p.symbol, limits, *values])
     return Table(head, rows, caption, text_columns=(0, 1))
 
 
-def _value(value: Any) -> str:
+def value(value: Any) -> str:
+    """A parameter, short."""
     return value if isinstance(value, str) else f"{value:.4g}"
 
 

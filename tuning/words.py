@@ -11,7 +11,7 @@ def versus(found: Comparison, label: str, other: str) -> str:
     """`label` against `other` in one sentence, with the interval of the paired gain."""
     a, b = found[label], found[other]
     if a.diverges or b.diverges:
-        return f"{_fate(a)}; {_fate(b)}."
+        return f"{_fate(a, found.measure.unit)}; {_fate(b, found.measure.unit)}."
     d = found.difference(label, other)
     ends = sorted((abs(100 * d.gain_low), abs(100 * d.gain_high)))
     if d.gain_low <= 0.0 <= d.gain_high:
@@ -26,10 +26,10 @@ def versus(found: Comparison, label: str, other: str) -> str:
     )
 
 
-def _fate(row: Row) -> str:
+def _fate(row: Row, unit: str) -> str:
     if row.diverges:
         return f"`{row.label}` diverges in {100 * row.divergence_rate:.0f} % of the runs"
-    return f"`{row.label}` has {row.mean:.3f} m"
+    return f"`{row.label}` has {row.mean:.3f} {unit}".rstrip()
 
 
 def best(found: Comparison) -> Row:

@@ -1,0 +1,265 @@
+"""A study from beginning to end: tune, choose among the leaders, compare on fresh data, keep it."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from navgym.filters.catalogue import CATALOGUE, DECK_CATALOGUE
+from navgym.scenarios import CATALOGUE as SCENARIOS
+from navgym.scenarios import DECK_CATALOGUE as DECK_SCENARIOS
+from navgym.tuned import read_tuned
+from tuning import racing
+from tuning.comparison import Comparison, Entry, compare
+from tuning.executors import workers
+from tuning.material import Material, material
+from tuning.objective import AnyCases, Costed, InstanceGoal, Objective, Pooled
+from tuning.selection import TOP, confirm
+from tuning.sensitivity import Sweep, importances, sweeps
+from tuning.settings import Settings
+from tuning.study import Outcome, Search, Trial, search
+
+DEFAULT, TUNED = "{}, default", "{}, tuned"
+KNOWN, TRUTH = "{}, best known", "{}, tuned with the truth"
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """Everything that a study and its report found.
+
+    Args:
+        settings: what was asked for.
+        goal: what was minimised.
+        outcome: the trials.
+        chosen: the winner; its result is that on the recordings that chose it.
+        material: the recordings.
+        reports: comparisons on fresh recordings, by name; the tuned filter is one of the entries.
+        sweeps: around the winner, on the recordings that chose it.
+        importances: of the free parameters, from the trials.
+    """
+
+    settings: Settings
+    goal: InstanceGoal
+    outcome: Outcome
+    chosen: Trial
+    material: Material
+    reports: Mapping[str, Comparison]
+    sweeps: Sequence[Sweep]
+    importances: Mapping[str, float]
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """The winner's parameters, the fixed ones included."""
+        return self.settings.fixed() | dict(self.chosen.values)
+
+    @property
+    def tuned(self) -> str:
+        """Label of the tuned filter."""
+        return TUNED.format(self.settings.filter)
+
+    @property
+    def default(self) -> str:
+        """Label of the filter at its defaults."""
+        return DEFAULT.format(self.settings.filter)
+
+
+class Interrupted(Exception):  # noqa: N818 - it is no error
+    """Ctrl-C ended the study: `outcome` is what it found."""
+
+    def __init__(self, outcome: Outcome) -> None:
+        super().__init__("the study was interrupted")
+        self.outcome = outcome
+
+
+def run(settings: Settings) -> Findings:
+    """The whole of it.
+
+    Raises:
+        Interrupted: Ctrl-C during the study; its finished trials are kept.
+        ValueError: settings that do not fit together, a study of another search.
+        OSError: files or storage that cannot be read or written.
+    """
+    with workers(settings.processes, settings.scheduler) as executor:
+        made = material(settings)
+        goal = goal_of(settings, made.train)
+        outcome = _study(settings, goal, executor, "tuning", _storage(settings))
+        fresh = goal_of(settings, made.select)
+        chosen = choose(outcome, fresh, executor)
+        found = _sweep(fresh, chosen, executor)
+        extra = _with_truth(settings, made, executor)
+        reports = {
+            name: _report(settings, name, cases, chosen, extra)
+            for name, cases in made.report.items()
+        }
+        shares = importances(outcome, goal.space)
+        return Findings(settings, goal, outcome, chosen, made, reports, found, shares)
+
+
+def _storage(settings: Settings) -> Path | str:
+    if settings.storage is None:
+        return settings.out / "study.log"
+    return settings.storage if "://" in settings.storage else Path(settings.storage)
+
+
+# ---- the goal
+
+
+def goal_of(
+    settings: Settings, cases: Mapping[str, AnyCases], measure: str | None = None
+) -> InstanceGoal:
+    """What `settings` ask to minimise, over some recordings.
+
+    Args:
+        settings: of the study.
+        cases: recordings by name; several are pooled.
+        measure: another one than the settings'.
+    """
+    blind = settings.akit is not None or any(not c.has_truth for c in cases.values())
+    usual = "likelihood" if blind else None
+    members = [
+        Objective(
+            settings.filter, settings.parameters(), each, settings.metric, settings.fixed(),
+            measure or settings.measure or usual,
+        )
+        for each in cases.values()
+    ]  # fmt: skip
+    goal: InstanceGoal = members[0] if len(members) == 1 else Pooled(members)
+    return Costed(goal) if settings.cost and measure is None else goal
+
+
+def _study(
+    settings: Settings, goal: InstanceGoal, executor: Executor | None, label: str, where: Any
+) -> Outcome:
+    how = Search(
+        settings.amount.trials, settings.seed, settings.sampler, settings.batch,
+        settings.prune and not settings.cost and settings.metric != "quantile 95 %", settings.study,
+    )  # fmt: skip
+    outcome = search(
+        goal, how, journal=where, first=_first(settings), label=label, executor=executor
+    )
+    if outcome.interrupted:
+        raise Interrupted(outcome)
+    return outcome
+
+
+def _first(settings: Settings) -> list[dict[str, Any]]:
+    """Parameter sets to try early: an earlier result, and the best known of the scenarios."""
+    sets: list[Mapping[str, Any]] = []
+    if settings.start is not None:
+        found = read_tuned(settings.start)
+        if found.filter != settings.filter:
+            raise ValueError(
+                f"{settings.start} holds parameters of {found.filter!r}, not of "
+                f"{settings.filter!r}: start from another file."
+            )
+        sets.append(found.parameters)
+    return [_inside(settings, values) for values in sets]
+
+
+def _inside(settings: Settings, values: Mapping[str, Any]) -> dict[str, Any]:
+    """`values` of the free parameters, moved inside their ranges."""
+    moved = {}
+    for p in settings.parameters():
+        if p.name in values:
+            given = values[p.name]
+            number = p.check(given) if isinstance(given, str) else float(given)
+            moved[p.name] = p.show(min(max(number, p.low), p.high))
+    return moved
+
+
+# ---- the choice, and what it rests on
+
+
+def choose(outcome: Outcome, fresh: InstanceGoal, executor: Executor | None = None) -> Trial:
+    """The best of the leaders on recordings that the study has not seen; feasible ones first."""
+    run_all = functools.partial(evaluated, executor, "choosing among the leaders")
+    return confirm(outcome, fresh, TOP, run_all)
+
+
+def evaluated(executor: Executor | None, label: str, calls: Sequence[tuple[Any, ...]]) -> list[Any]:
+    """`racing.evaluate` of every call, with a progress bar."""
+    if executor is None:
+        return [racing.evaluate(*call) for call in tqdm(calls, desc=label)]
+    futures = [executor.submit(racing.evaluate, *call) for call in calls]
+    return [f.result() for f in tqdm(futures, desc=label)]
+
+
+def _sweep(fresh: InstanceGoal, chosen: Trial, executor: Executor | None) -> list[Sweep]:
+    goal = fresh.goal if isinstance(fresh, Costed) else fresh
+    return sweeps(goal, chosen.values, functools.partial(evaluated, executor, "sweeping"))
+
+
+def _with_truth(
+    settings: Settings, made: Material, executor: Executor | None
+) -> dict[str, dict[str, Any]]:
+    """For logs that were tuned blind though their truth is known: what the truth would have found."""
+    blind = settings.akit is not None and settings.measure in (None, "likelihood", "consistency")
+    if not blind:
+        return {}
+    usual = goal_of(settings, made.train, "rmse")
+    where = _storage(settings)
+    beside = where.with_name(f"truth-{where.name}") if isinstance(where, Path) else None
+    outcome = _study(settings, usual, executor, "tuning with the truth, to compare", beside)
+    best = choose(outcome, goal_of(settings, made.select, "rmse"), executor)
+    return {TRUTH.format(settings.filter): settings.fixed() | dict(best.values)}
+
+
+# ---- the report's comparison
+
+
+def _report(
+    settings: Settings, name: str, cases: AnyCases, chosen: Trial, extra: Mapping[str, Any]
+) -> Comparison:
+    """The tuned filter among others on fresh recordings, judged by the truth where there is one."""
+    own = settings.filter
+    values = settings.fixed() | dict(chosen.values)
+    entries = [
+        Entry(DEFAULT.format(own), own),
+        Entry(TUNED.format(own), own, values),
+        *(Entry(label, own, v) for label, v in extra.items()),
+        *_known(settings, name),
+        *_others(settings, cases),
+    ]
+    usual = None if cases.has_truth else "likelihood"
+    measure = settings.measure if settings.measure and cases.has_truth else usual
+    if measure in ("likelihood", "consistency") and cases.has_truth:
+        measure = None
+    keep = (DEFAULT.format(own), TUNED.format(own))
+    return compare(
+        entries, cases, DEFAULT.format(own), cases.plain, keep=keep, progress=f"report: {name}",
+        measure=measure,
+    )  # fmt: skip
+
+
+def _known(settings: Settings, name: str) -> list[Entry]:
+    """The scenario's reference parameters, if they are for this filter."""
+    if not settings.simulated or settings.overrides:
+        return []
+    short = name.partition("/")[2]
+    catalogue: Mapping[str, Any] = DECK_SCENARIOS if settings.half == "deck" else SCENARIOS
+    values = dict(catalogue[short].reference)
+    space = {p.name for p in (DECK_CATALOGUE | CATALOGUE)[settings.filter].space}  # type: ignore[operator]
+    fits = (
+        values and set(values) <= space and (settings.half == "deck" or settings.filter == "qivbf")
+    )
+    return [Entry(KNOWN.format(settings.filter), settings.filter, values)] if fits else []
+
+
+def _others(settings: Settings, cases: AnyCases) -> list[Entry]:
+    """What stands beside it: the plain filter, what needs no tuning, and the bound."""
+    if settings.half == "deck":
+        names = ["alignment", "alignment_mcc", "idam"]
+    elif cases.plain == "kf":
+        names = ["kf", "imm", "imm_wide", "bank"]
+    else:
+        names = ["ekf", "ukf", "ckf"]
+    others = [Entry(n, n) for n in names if n != settings.filter or n == cases.plain]
+    if settings.simulated and cases.plain != "ekf":
+        others.append(Entry(cases.bound_filter, cases.bound_filter, bound=True))
+    return others
