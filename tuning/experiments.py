@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +19,17 @@ from navgym.recording import Recording
 from navgym.simulation import simulate_many
 from tuning.cases import Cases
 from tuning.comparison import Comparison, Entry
-from tuning.objective import Objective
+from tuning.deck_cases import DeckCases
+from tuning.objective import AnyCases, Objective
 from tuning.recipes import travelling
 from tuning.schedule import RegimeTable
 from tuning.selection import confirm
-from tuning.study import Outcome, Trial, search
+from tuning.study import Outcome, Search, Trial, search
 
 TRACKS = (1, 2, 3, 4, 5, 6)
 FOLDS = (TRACKS[:3], TRACKS[3:])  # tuned on one half of the tracks, reported on the other
 RATES = (0.1, 0.3, 0.5)
+# what matters in a variational filter (SCIENCE A3)
 STEERED = ("vb_iterations", "prior_count", "forgetting", "process_noise_scale")
 # what an untuned reader of the paper would type (it gives none of them)
 UNTUNED = {
@@ -53,9 +56,18 @@ def nonlinear_filters() -> list[Entry]:
 # ---- tuning
 
 
+def simulated(
+    scenario: str, split: str, runs: int, steps: int | None = None, **overrides: Any
+) -> AnyCases:
+    """`runs` recordings of a scenario of either half; `steps` are samples of an AUV's."""
+    if scenario.startswith("deck/"):
+        return DeckCases.simulated(scenario, split, runs, **overrides)
+    return Cases.simulated(scenario, split, runs, steps=steps, **overrides)
+
+
 def best_fixed(
     scenario: str,
-    trials: int,
+    trials: int | Search,
     seed: int = 0,
     runs: int = 40,
     journal: Path | None = None,
@@ -64,12 +76,14 @@ def best_fixed(
     fixed: Mapping[str, Any] | None = None,
     steps: int | None = None,
     progress: bool = True,
+    filter_name: str = "qivbf",
+    executor: Executor | None = None,
 ) -> tuple[Objective, Outcome, Trial]:
-    """Tune QIVBF on training seeds of `scenario`; the best of the leaders on validation seeds.
+    """Tune a filter on training seeds of `scenario`; the best of the leaders on validation seeds.
 
     Args:
         scenario: a name of `navgym.scenarios()`.
-        trials: finished trials of the study.
+        trials: finished trials of the study, or how to search.
         seed: of the sampler.
         runs: recordings per trial, and again on the validation seeds.
         journal: keeps the study; see `tuning.study.search`.
@@ -78,51 +92,52 @@ def best_fixed(
         fixed: values of the others; their defaults where it says nothing.
         steps: samples per recording; the scenario's own by default.
         progress: whether to show a bar.
+        filter_name: what to tune.
+        executor: where trials are evaluated.
     """
-    goals = [
-        Objective("qivbf", free, Cases.simulated(scenario, split, runs, steps=steps), fixed=fixed)
-        for split in ("train", "validation")
-    ]
-    outcome = search(
-        goals[0], trials, seed, journal, first, f"tuning on {scenario}", progress=progress
-    )
-    return goals[0], outcome, confirm(outcome, goals[1])
+    goal = Objective(filter_name, free, simulated(scenario, "train", runs, steps), "mean", fixed)
+    fresh = goal.on(simulated(scenario, "validation", runs, steps))
+    label = f"tuning on {scenario}"
+    outcome = search(goal, trials, seed, journal, first, label, progress, executor)
+    return goal, outcome, confirm(outcome, fresh)
 
 
 def regime_table(
     scenario: str,
     start: Mapping[str, Any],
-    trials: int,
+    trials: int | Search,
     seed: int = 0,
     runs: int = 40,
     journal: Path | None = None,
     steps: int | None = None,
     progress: bool = True,
+    filter_name: str = "qivbf",
+    scheduled: Sequence[str] = ("forgetting", "process_noise_scale"),
+    executor: Executor | None = None,
 ) -> tuple[RegimeTable, Trial]:
-    """Tune forgetting and process noise by true regime, from `start` in all of them.
+    """Tune parameters by true regime, from `start` in all of them; otherwise as `best_fixed`.
 
     Returns the table's goal on the training seeds and its best trial on validation seeds.
     """
-    scheduled = ("forgetting", "process_noise_scale")
     fixed = {k: v for k, v in start.items() if k not in scheduled}
-    goals = [
-        RegimeTable("qivbf", scheduled, Cases.simulated(scenario, split, runs, steps=steps), fixed)
-        for split in ("train", "validation")
-    ]
-    first = [goals[0].same_everywhere(start), _by_noise(goals[0], start)]
+    goal = RegimeTable(filter_name, scheduled, simulated(scenario, "train", runs, steps), fixed)
+    first = [goal.same_everywhere(start), _guess(goal, start)]
     label = f"table by regime of {scenario}"
-    outcome = search(goals[0], trials, seed, journal, first, label, progress=progress)
-    return goals[0], confirm(outcome.complete(), goals[1])
+    outcome = search(goal, trials, seed, journal, first, label, progress, executor)
+    fresh = goal.on(simulated(scenario, "validation", runs, steps))
+    return goal, confirm(outcome.complete(), fresh)
 
 
-def _by_noise(table: RegimeTable, start: Mapping[str, Any]) -> dict[str, Any]:
-    """A first guess: the true Q of each regime, and slow forgetting where R is constant."""
-    assert isinstance(table.cases, Cases)
-    recordings = table.cases.recordings
+def _guess(table: RegimeTable, start: Mapping[str, Any]) -> dict[str, Any]:
+    """What one would try first: the true Q of each regime; on decks, the kernel off but for glitches."""
     guess = table.same_everywhere(start)
-    for label, name in enumerate(table.cases.regimes):
-        q = [r.process_scale[r.regime == label] for r in recordings if (r.regime == label).any()]
-        guess[f"process_noise_scale [{name}]"] = float(np.concatenate(q).mean())
+    cases = table.cases
+    for label, name in enumerate(cases.regimes):
+        if isinstance(cases, DeckCases):
+            guess[f"kernel_width [{name}]"] = 2.0 if "glitch" in name else 50.0
+        else:
+            here = [r.process_scale[r.regime == label] for r in cases.recordings]
+            guess[f"process_noise_scale [{name}]"] = float(np.concatenate(here).mean())
     return guess
 
 

@@ -11,17 +11,16 @@ from navgym.metrics import rms, steady_state
 from navgym.models import LinearModel
 from navgym.scenarios import SHIFTS
 from tuning import expected, tables, words
+from tuning import headroom as steering
 from tuning.cases import Cases
 from tuning.comparison import Comparison, Entry, Row, compare
 from tuning.expected import Check
 from tuning.experiments import (
     RATES,
     UNTUNED,
-    best_fixed,
     linear_filters,
     nonlinear_filters,
     real_cases,
-    regime_table,
 )
 from tuning.report import Figure, Page, Section, Table, Tile
 
@@ -37,12 +36,6 @@ CLAIM = (
     "grows without bound when measurements are lost."
 )
 SWITCHING = ("switch-D", "switch-B", "switch-A")
-# the prototype's priors, so that best fixed means the same four parameters
-PRIORS = {"initial_count": 5.0, "initial_scale": 1.0}
-FIRST = (
-    {"vb_iterations": 5, "prior_count": 10.0, "forgetting": 0.9, "process_noise_scale": 30.0},
-    {"vb_iterations": 5, "prior_count": 2.0, "forgetting": 0.9, "process_noise_scale": 30.0},
-)
 
 
 @dataclass(frozen=True)
@@ -216,9 +209,12 @@ def headroom(size: Size, seed: int, out: Path) -> Part:
     """Best fixed parameters and the table by true regime, tuned here, against IMM and oracle."""
     found: dict[str, Comparison] = {}
     chosen: dict[str, Any] = {}
+    checks: list[Check] = []
+    amount = steering.Size(size.trials, size.train, size.runs, size.steps)
     for name in SWITCHING:
-        found[name], chosen[name] = _one_headroom(f"auv/{name}", size, seed, out)
-    checks = [c for name in SWITCHING for c in _headroom_checks(name, found[name])]
+        one = steering.headroom(f"auv/{name}", amount, seed, out)
+        found[name], chosen[name] = one.comparisons["rmse"], dict(one.values)
+        checks += one.checks
     by_name = {c.what: c for c in checks}
     labels = ("best fixed", "table by true regime", "imm", "oracle")
     rows = []
@@ -246,42 +242,6 @@ def headroom(size: Size, seed: int, out: Path) -> Part:
 def _expected_gap(name: str) -> float:
     best, table, *_ = expected.HEADROOM[name]
     return 100 * (1 - table / best)
-
-
-def _one_headroom(
-    scenario: str, size: Size, seed: int, out: Path
-) -> tuple[Comparison, dict[str, Any]]:
-    stem = f"{scenario.removeprefix('auv/')}-{size.train}-seed{seed}"
-    _, outcome, best = best_fixed(
-        scenario, size.trials, seed, size.train, out / f"fixed-{stem}.log", first=FIRST,
-        fixed=PRIORS, steps=size.steps,
-    )  # fmt: skip
-    outcome.complete()
-    fixed = PRIORS | dict(best.values)
-    goal, table = regime_table(
-        scenario, fixed, size.trials, seed, size.train, out / f"table-{stem}.log", size.steps
-    )
-    cases = Cases.simulated(scenario, "test", size.runs, steps=size.steps)
-    schedules = goal.schedules(table.values, cases)
-    entries = [
-        *linear_filters(simulated=True),
-        Entry("best fixed", "qivbf", fixed),
-        Entry("table by true regime", "qivbf", schedules, bound=True, interval=1),
-    ]
-    wanted = ("kf", "oracle", "best fixed", "table by true regime", "imm", "imm_wide", "bank")
-    found = compare(
-        [e for e in entries if e.label in wanted], cases, "best fixed", progress=scenario
-    )
-    return found, {"best fixed": fixed, "table by true regime": dict(table.values)}
-
-
-def _headroom_checks(name: str, found: Comparison) -> Iterator[Check]:
-    labels = ("best fixed", "table by true regime", "imm", "oracle")
-    for label, value in zip(labels, expected.HEADROOM[name], strict=True):
-        row = found[label]
-        searched = label in labels[:2]
-        slack = _slack(row, value)
-        yield Check(f"{name}, {label}", value, row.mean, _half(row), slack, searched)
 
 
 # ---- A6: the bank against the wide IMM

@@ -14,14 +14,13 @@ from navgym.estimation import parameter_space
 from navgym.filters.catalogue import CATALOGUE, DECK_CATALOGUE
 from navgym.parameters import Parameter
 from navgym.simulation import scenarios
+from tuning.experiments import STEERED
 from tuning.measures import METRICS
 from tuning.objective import narrowed
 from tuning.search_space import SAMPLERS
 from tuning.study import STUDY
 
 ALL = "all"
-# what matters in a variational filter (SCIENCE A3); of the others everything is varied
-STEERED = ("vb_iterations", "prior_count", "forgetting", "process_noise_scale")
 
 
 @dataclass(frozen=True)
