@@ -15,11 +15,10 @@ from tuning.deck_cases import DeckCases
 from tuning.experiments import FOLDS, RATES, real_cases
 from tuning.objective import AnyCases
 from tuning.recipes import travelling
-from tuning.settings import Settings
+from tuning.settings import Amount, Settings
 
 # shares of a log that is tuned on up to here, and chosen among leaders up to there
 TUNED, CHOSEN = 0.5, 0.7
-DRAWS = 10  # noise and losses per A-KIT track and loss rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +46,7 @@ def material(settings: Settings) -> Material:
         OSError: a file that is not there.
     """
     if settings.akit is not None:
-        return _tracks(settings.akit)
+        return _tracks(settings.akit, settings.amount)
     return _logs(settings) if settings.log else _simulated(settings)
 
 
@@ -111,12 +110,16 @@ def logged(format_name: str, paths: tuple[Path, ...], span: tuple[float, float])
 # ---- A-KIT
 
 
-def _tracks(folder: Path) -> Material:
+def _tracks(folder: Path, amount: Amount) -> Material:
     tuned, reported = FOLDS
     stages = []
-    for split, tracks in (("train", tuned), ("validation", tuned), ("test", reported)):
+    for split, tracks, draws in (
+        ("train", tuned, amount.runs),
+        ("validation", tuned, amount.select_runs),
+        ("test", reported, amount.report_runs),
+    ):
         stages.append(
-            {f"{rate:.0%} lost": real_cases(folder, rate, DRAWS, split, tracks) for rate in RATES}
+            {f"{rate:.0%} lost": real_cases(folder, rate, draws, split, tracks) for rate in RATES}
         )
     return Material(
         stages[0], stages[1], stages[2],

@@ -15,7 +15,7 @@ from navgym.filters.catalogue import CATALOGUE, DECK_CATALOGUE
 from navgym.parameters import Parameter
 from navgym.simulation import scenarios
 from tuning.experiments import STEERED
-from tuning.measures import METRICS
+from tuning.measures import METRICS, find_measure
 from tuning.objective import narrowed
 from tuning.search_space import SAMPLERS
 from tuning.study import STUDY
@@ -34,6 +34,8 @@ class Amount:
 
 
 AMOUNTS = {"auv": Amount(200, 40, 100, 300), "deck": Amount(60, 16, 16, 60)}
+# of real tracks, runs are draws of noise and losses per track and loss rate
+TRACKS = Amount(200, 10, 10, 10)
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,8 @@ class Settings:
         report_log: logs to report on.
         format: of the logs: csv, or deck_csv.
         akit: folder of the A-KIT tracks: tune on 1 to 3 without their truth, report on 4 to 6.
-        free: parameters to vary; all for every one. By default those that matter.
+        free: parameters to vary; all for every one. By default, of a variational filter on simulated
+            conditions, the four that matter there; otherwise every one.
         fix: parameters held at a value of their own, such as: vb_iterations 3
         range: narrower ranges, such as: process_noise_scale 1 100
         measure: loss of a run: rmse, likelihood or consistency; on decks also composite, theta_rate,
@@ -57,7 +60,8 @@ class Settings:
         metric: of the runs' losses: mean, median or "quantile 95 %".
         cost: minimise the time per filter step as well, and show the front.
         trials: finished trials to end with (default: 200, on decks 60).
-        runs: training recordings per trial (default: 40, on decks 16).
+        runs: training recordings per trial (default: 40, on decks 16); with --akit draws of noise and
+            losses per track and loss rate (10).
         select_runs: recordings of the validation seeds that choose among the leaders (100, 16).
         report_runs: recordings of the test seeds that the report is on (300, 60).
         steps: samples per AUV recording, if not the scenario's own.
@@ -112,8 +116,16 @@ class Settings:
                 positive_int(name, getattr(self, name))
         positive_int("batch", self.batch)
         self._check_source()
-        self.parameters()
-        self.fixed()
+        if self.measure is not None:
+            find_measure(self.half, self.measure)
+        free, fixed = self.parameters(), self.fixed()
+        if not free:
+            raise ValueError(f"filter {self.filter!r} has nothing to tune: choose another.")
+        for p in free:
+            if p.name in fixed:
+                raise ValueError(
+                    f"{p.name!r} is free and fixed at once: name it in one of the two."
+                )
 
     def _check_source(self) -> None:
         for name in self.scenario:
@@ -150,9 +162,8 @@ class Settings:
     def amount(self) -> Amount:
         """How much is run, defaults filled in."""
         given = {n: getattr(self, n) for n in ("trials", "runs", "select_runs", "report_runs")}
-        return dataclasses.replace(
-            AMOUNTS[self.half], **{n: v for n, v in given.items() if v is not None}
-        )
+        usual = AMOUNTS[self.half] if self.akit is None else TRACKS
+        return dataclasses.replace(usual, **{n: v for n, v in given.items() if v is not None})
 
     @property
     def processes(self) -> int:
@@ -166,7 +177,7 @@ class Settings:
         """
         whole = parameter_space(self.filter, deck=self.half == "deck")
         names = self.free
-        if not names and "vb_iterations" in whole.names:
+        if not names and self.simulated:
             names = tuple(n for n in STEERED if n in whole.names)
         if not names or names == (ALL,):
             names = whole.names

@@ -1,0 +1,135 @@
+"""What can be asked of a study, and what is refused at once."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tuning import command
+from tuning.material import material
+from tuning.settings import Settings
+
+LOG = "time,px,vx,py,vy\n" + "".join(f"{k},{k},1,{2 * k},2\n" for k in range(40))
+
+
+def parse(*arguments):
+    return command.parse(Settings, "doc", arguments)
+
+
+def test_without_arguments_the_variational_filter_is_tuned_on_switching_noise():
+    settings = parse()
+    assert settings == Settings()
+    assert [p.name for p in settings.parameters()] == [
+        "vb_iterations", "prior_count", "forgetting", "process_noise_scale",
+    ]  # fmt: skip
+
+
+def test_flags_say_what_is_varied_held_and_where():
+    settings = parse(
+        "--filter", "qivbf", "--free", "forgetting", "process_noise_scale", "--fix", "fill", "extrapolate",
+        "vb_iterations", "3", "--range", "process_noise_scale", "1", "50",
+        "--overrides", "loss", "0.3",
+    )  # fmt: skip
+    forgetting, process = settings.parameters()
+    assert forgetting.name == "forgetting"
+    assert (process.low, process.high) == (1.0, 50.0)
+    assert settings.fixed() == {"fill": "extrapolate", "vb_iterations": 3}
+    assert material(settings).train["auv/switch-D"].about["overrides"] == {"loss": "0.3"}
+
+
+def test_a_file_holds_what_flags_say_and_flags_override_it(tmp_path):
+    asked = parse("--trials", "7", "--scenario", "auv/heavy", "--fix", "vb_iterations", "3",
+                  "--range", "forgetting", "0.7", "0.9", "--out", str(tmp_path))  # fmt: skip
+    path = tmp_path / "settings.toml"
+    path.write_text(command.as_toml(asked))
+    assert parse("--config", str(path)) == asked
+    assert parse("--config", str(path), "--trials", "9").trials == 9
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"filter": "qivf"}, "Did you mean 'qivbf'"),
+        ({"scenario": ("auv/havy",)}, "Did you mean 'auv/heavy'"),
+        ({"scenario": ()}, "at least one scenario"),
+        ({"free": ("forgeting",)}, "Did you mean 'forgetting'"),
+        ({"range": {"forgetting": (0.9, 0.7)}}, "range of forgetting must be low < high"),
+        ({"range": {"forgetting": (0.9, 0.9)}}, "range of forgetting must be low < high"),
+        ({"range": {"fill": (0, 1)}}, "unknown free parameter 'fill'"),
+        ({"fix": {"forgetting": "3"}}, "forgetting must lie in"),
+        ({"free": ("fill",), "fix": {"fill": "skip"}}, "free and fixed"),
+        ({"trials": 0}, "trials must be a whole number of at least 1, got 0"),
+        ({"batch": 0}, "batch must be a whole number of at least 1"),
+        ({"metric": "maen"}, "Did you mean 'mean'"),
+        ({"measure": "rmsee"}, "Did you mean 'rmse'"),
+        ({"sampler": "tpee"}, "Did you mean 'tpe'"),
+        ({"filter": "alignment_mcc"}, "different halves"),
+        ({"report_log": (Path("x.csv"),)}, "needs --log"),
+        ({"filter": "oracle"}, "nothing to tune"),
+    ],
+)
+def test_a_bad_request_is_refused_with_its_remedy(asked, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        Settings(**asked)
+
+
+def test_a_bad_flag_ends_the_command_with_the_same_words(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        parse("--trials", "0")
+    assert stopped.value.code == 2
+    assert "trials must be a whole number of at least 1" in capsys.readouterr().err
+
+
+def test_a_missing_log_and_a_bad_file_are_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"no log at .*none\.csv"):
+        parse("--log", str(tmp_path / "none.csv"))
+    path = tmp_path / "settings.toml"
+    path.write_text("trails = 3\n")
+    with pytest.raises(ValueError, match="Did you mean 'trials'"):
+        parse("--config", str(path))
+    path.write_text("trials = \n")
+    with pytest.raises(ValueError, match="is not TOML"):
+        parse("--config", str(path))
+
+
+def test_the_stages_of_a_simulation_share_no_seed():
+    found = material(Settings(runs=3, select_runs=4, report_runs=5, steps=5))
+    seeds = [
+        set(range(first, last + 1))
+        for stage in (found.train, found.select, found.report)
+        for first, last in [stage["auv/switch-D"].about["seeds"]]
+    ]
+    assert [len(s) for s in seeds] == [3, 4, 5]
+    assert len(set().union(*seeds)) == 12
+
+
+def test_the_stages_of_a_log_share_no_sample(tmp_path):
+    log, other = tmp_path / "log.csv", tmp_path / "other.csv"
+    for path in (log, other):
+        path.write_text(LOG)
+    alone = material(Settings(filter="kf", log=(log,)))
+    spans = [stage["logs"].span for stage in (alone.train, alone.select, alone.report)]
+    assert spans == [(0.0, 0.5), (0.5, 0.7), (0.7, 1.0)]
+    two = material(Settings(filter="kf", log=(log,), report_log=(other,)))
+    assert two.report["logs"].span == (0.0, 1.0)
+    assert two.report["logs"].about["logs"][0].startswith("other.csv (")
+
+
+def test_a_log_that_changed_is_another_study(tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_text(LOG)
+    before = material(Settings(filter="kf", log=(log,))).train["logs"].about
+    log.write_text(LOG.replace("39,39,1", "39,38,1"))
+    from tuning.recipes import remake
+
+    remake.cache_clear()
+    assert material(Settings(filter="kf", log=(log,))).train["logs"].about != before
+
+
+def test_tracks_are_tuned_on_one_half_and_reported_on_the_other(akit):
+    found = material(Settings(akit=akit, runs=1, select_runs=1, report_runs=1))
+    for rate in ("10% lost", "30% lost", "50% lost"):
+        assert found.train[rate].about["tracks"] == [1, 2, 3]
+        assert found.select[rate].about["split"] == "validation"
+        assert found.report[rate].about["tracks"] == [4, 5, 6]
+        assert found.report[rate].about["split"] == "test"

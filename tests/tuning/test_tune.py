@@ -1,0 +1,134 @@
+"""A study from beginning to end, small but real."""
+
+import itertools
+import json
+import re
+import tomllib
+
+import numpy as np
+import pytest
+
+import navgym
+from tuning import tune, tune_report
+from tuning.cases import Cases
+from tuning.headroom import FIXED, TABLE, Size, headroom
+from tuning.settings import Settings
+
+
+def small(out, **more):
+    settings = {"trials": 24, "runs": 8, "select_runs": 10, "report_runs": 30, "steps": 200,
+                "workers": 1, "scenario": ("auv/mismatch",), "out": out}  # fmt: skip
+    return Settings(**(settings | more))
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    """A study of the variational filter where the motion is not the model's, and its report."""
+    made = tune.run(small(tmp_path_factory.mktemp("tune"), filter="vbakf"))
+    tune_report.write(made)
+    return made
+
+
+def test_the_tuned_filter_gains_on_recordings_that_nobody_tuned_on(found):
+    comparison = found.reports["auv/mismatch"]
+    assert comparison.difference(found.tuned, found.default).gain_low > 0.05
+    fresh = Cases.simulated("auv/mismatch", "test", 30, steps=200)
+    mean = fresh.errors("vbakf", found.values)[0].mean()
+    assert comparison[found.tuned].mean == pytest.approx(mean, rel=1e-12)
+
+
+def test_the_winner_is_the_best_of_the_leaders_on_the_validation_seeds(found):
+    fresh = tune.goal_of(found.settings, found.material.select)
+    leaders = sorted(found.outcome.trials, key=lambda t: (t.given_up, t.result))[:8]
+    assert found.chosen.result == min(fresh(t.values) for t in leaders)
+
+
+def test_the_tuned_file_gives_the_reported_error(found):
+    path = found.settings.out / "tuned.toml"
+    recording = navgym.simulate("auv/mismatch", seed=navgym.seeds("test", 1)[0], steps=200)
+    states = navgym.estimate("vbakf", recording, path).states
+    rmse = np.sqrt(((states - recording.truth)[:, [0, 2]] ** 2).sum(axis=1).mean())
+    assert rmse == pytest.approx(found.reports["auv/mismatch"].errors[found.tuned][0], rel=1e-12)
+    content = tomllib.loads(path.read_text())
+    assert content["provenance"]["command"].startswith("python scripts/tune.py")
+    assert "%" in content["provenance"]["gain over defaults"]["auv/mismatch"]
+
+
+def test_the_page_and_the_results_hold_the_same_numbers(found):
+    html = (found.settings.out / "report.html").read_text()
+    results = json.loads((found.settings.out / "results.json").read_text())
+    for row in results["reports"]["auv/mismatch"]["rows"]:
+        assert f"{row['mean']:.3f}" in html
+    assert html.count("<svg") >= 5
+    assert not re.search(r"(src|href)=", html.replace("xlink:href=", ""))
+    assert len(results["trials"]) == 24
+    assert set(results["sweeps"]) == {p.name for p in found.settings.parameters()}
+    assert {"navgym", "python", "optuna"} <= set(results["provenance"]["versions"])
+
+
+def test_the_same_command_again_finds_the_study_done_and_the_same_winner(found):
+    again = tune.run(found.settings)
+    assert again.values == found.values
+    assert again.outcome == found.outcome
+
+
+def test_several_scenarios_have_a_report_each(tmp_path):
+    made = tune.run(
+        small(tmp_path, trials=6, filter="kf", scenario=("auv/mismatch", "auv/nominal"))
+    )
+    assert list(made.reports) == ["auv/mismatch", "auv/nominal"]
+    tune_report.write(made)
+    assert "auv/nominal" in tune_report.summary(made)
+
+
+def test_time_is_an_objective_on_request(tmp_path):
+    made = tune.run(small(tmp_path, trials=16, filter="vbakf", free=("vb_iterations",), cost=True))
+    front = made.outcome.front
+    assert all(a.cost < b.cost and a.result > b.result for a, b in itertools.pairwise(front))
+    assert made.outcome.best in front
+    tune_report.write(made)
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert results["front"] == [t.number for t in front]
+
+
+def test_an_earlier_result_is_tried_right_after_the_defaults(tmp_path, found):
+    start = found.settings.out / "tuned.toml"
+    made = tune.run(small(tmp_path, trials=2, filter="vbakf", start=start))
+    space = made.goal.space
+    np.testing.assert_allclose(
+        space.array(made.outcome.trials[1].values), space.array(found.chosen.values), rtol=1e-9
+    )
+    with pytest.raises(ValueError, match="'vbakf', not of 'kf'"):
+        tune.run(small(tmp_path / "other", trials=2, filter="kf", start=start))
+
+
+def test_a_log_without_truth_is_tuned_by_likelihood(tmp_path):
+    recording = navgym.simulate("auv/mismatch", seed=3, steps=300)
+    blind = navgym.Recording(recording.time, recording.measurements, model=recording.model)
+    log = tmp_path / "log.csv"
+    navgym.csv_log.write_csv(blind, log)
+    made = tune.run(small(tmp_path / "out", filter="kf", log=(log,), trials=20))
+    assert made.reports["logs"].measure.name == "likelihood"
+    # the reader believes white acceleration of its own; a better fit to the motion is more likely
+    assert made.reports["logs"].difference(made.tuned, made.default).mean_difference < 0.0
+    tune_report.write(made)
+
+
+def test_tuned_without_truth_the_real_tracks_are_tracked_better_than_by_default(akit, tmp_path):
+    made = tune.run(
+        small(tmp_path, filter="vbakf", akit=akit, trials=60, runs=2, select_runs=2, report_runs=3)
+    )
+    for comparison in made.reports.values():
+        assert comparison.measure.name == "rmse"
+        assert comparison.difference(made.tuned, made.default).gain_low > 0.0
+        assert "vbakf, tuned with the truth" in comparison
+    assert {m.measure.name for m in made.goal.members} == {"likelihood"}
+
+
+def test_headroom_is_what_the_true_regime_is_worth(tmp_path):
+    found = headroom("auv/switch-D", Size(24, 10, 40, 300), 0, tmp_path)
+    comparison = found.comparisons["rmse"]
+    assert comparison.difference(TABLE, FIXED).gain_low > 0.05
+    assert comparison["oracle"].mean < comparison[TABLE].mean < comparison[FIXED].mean
+    with pytest.raises(ValueError, match="unknown scenario"):
+        headroom("auv/switch-X", Size(1, 1, 1), 0, tmp_path)
