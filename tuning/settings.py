@@ -177,7 +177,7 @@ class Settings:
         """
         whole = parameter_space(self.filter, deck=self.half == "deck")
         names = self.free
-        if not names and self.simulated:
+        if not names and self.simulated and "vb_iterations" in whole.names:
             names = tuple(n for n in STEERED if n in whole.names)
         if not names or names == (ALL,):
             names = whole.names
