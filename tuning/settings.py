@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -194,23 +193,9 @@ class Settings:
         whole = parameter_space(self.filter, deck=self.half == "deck")
         return {name: whole[name].show(whole[name].check(_read(v))) for name, v in self.fix.items()}
 
-    def as_dict(self) -> dict[str, Any]:
-        """What was asked for, as JSON can hold it; defaults left out."""
-        plain = Settings()
-        given = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        return {n: _plain(v) for n, v in given.items() if v != getattr(plain, n)}
-
 
 def _read(text: Any) -> Any:
     try:
         return float(text)
     except (TypeError, ValueError):
         return text
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Path):
-        return value.name
-    if isinstance(value, Mapping):
-        return {k: _plain(v) for k, v in value.items()}
-    return [_plain(v) for v in value] if isinstance(value, (list, tuple)) else value

@@ -11,8 +11,7 @@ import tomli_w
 
 from navgym._checks import Array
 from navgym.estimation import parameter_space
-from tuning import plots, report, study_plots, tables, words
-from tuning.command import as_toml
+from tuning import declared, plots, report, study_plots, tables, words
 from tuning.comparison import Comparison
 from tuning.deck_cases import DeckCases
 from tuning.objective import AnyCases, Costed, Objective, Pooled
@@ -30,7 +29,7 @@ def write(found: Findings) -> None:
     """Write report.html, results.json, tuned.toml and settings.toml to the study's folder."""
     out = found.settings.out
     basis = provenance(found)
-    report.write_text(out / SETTINGS, as_toml(found.settings))
+    report.write_text(out / SETTINGS, declared.to_toml(declared.own(found.settings)))
     report.write_text(out / TUNED_FILE, tuned_toml(found, basis))
     report.write_json(out / RESULTS, results(found, basis))
     report.write_page(out / PAGE, page(found, basis))
@@ -115,7 +114,7 @@ def results(found: Findings, basis: Mapping[str, Any]) -> dict[str, Any]:
     """Everything measured, as JSON; times are the machine's, the rest is repeatable."""
     return {
         "provenance": dict(basis),
-        "settings": found.settings.as_dict(),
+        "settings": declared.own(found.settings),
         "goal": found.goal.about,
         "trials": [asdict(t) | {"values": dict(t.values)} for t in found.outcome.trials],
         "chosen": {"number": found.chosen.number, "values": found.values, "result": found.chosen.result},

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tuning import command
+from tuning import command, declared
 from tuning.material import material
 from tuning.settings import Settings
 
@@ -41,7 +41,7 @@ def test_a_file_holds_what_flags_say_and_flags_override_it(tmp_path):
     asked = parse("--trials", "7", "--scenario", "auv/heavy", "--fix", "vb_iterations", "3",
                   "--range", "forgetting", "0.7", "0.9", "--out", str(tmp_path))  # fmt: skip
     path = tmp_path / "settings.toml"
-    path.write_text(command.as_toml(asked))
+    path.write_text(declared.to_toml(declared.own(asked)))
     assert parse("--config", str(path)) == asked
     assert parse("--config", str(path), "--trials", "9").trials == 9
 
@@ -84,6 +84,9 @@ def test_a_missing_log_and_a_bad_file_are_named(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"no log at .*none\.csv"):
         parse("--log", str(tmp_path / "none.csv"))
     path = tmp_path / "settings.toml"
+    path.write_text('trials = "many"\n')
+    with pytest.raises(ValueError, match="trials must be of type int, got 'many'"):
+        parse("--config", str(path))
     path.write_text("trails = 3\n")
     with pytest.raises(ValueError, match="Did you mean 'trials'"):
         parse("--config", str(path))
