@@ -79,17 +79,17 @@ def read_csv(
     one_of("extra", extra, ("raise", "ignore"))
     _check_kinds(columns, model)
     table = _renamed(read_table(path, delimiter), columns, model)
-    measured, states = _component_names(model) if model else (_measured(table), STATES)
+    measured, states = _component_names(model) if model else (measured_columns(table), STATES)
     if extra == "raise":
         _refuse_strangers(table, measured, states)
     time = table.increasing("time", time_scale, "Say which it is with columns={'time': ...}.")
     y = np.stack([table.numbers(name, gaps=True) for name in measured], axis=-1)
-    y[_lost(table, measured)] = np.nan
+    y[lost_flags(table, measured)] = np.nan
     if np.isnan(y).all():
         raise ValueError(f"{table.path.name}: every measurement is lost, nothing can be estimated.")
     if model is None:
         sigmas = np.array([position_noise, velocity_noise] * 2)
-        model = _default_model(time, y, measured, sigmas, acceleration)
+        model = default_model(time, y, measured, sigmas, acceleration)
     return Recording(
         time=time,
         measurements=y,
@@ -158,7 +158,8 @@ def _renamed(table: Table, columns: Mapping[str, str] | None, model: Model | Non
     return table.renamed(columns or {})
 
 
-def _measured(table: Table) -> list[str]:
+def measured_columns(table: Table) -> list[str]:
+    """Those of px, vx, py, vy that a table has; ValueError where it has none."""
     measured = [name for name in STATES if name in table]
     if not measured:
         raise ValueError(
@@ -180,7 +181,7 @@ def _refuse_strangers(table: Table, measured: Sequence[str], states: Sequence[st
             ) from None
 
 
-def _lost(table: Table, measured: Sequence[str]) -> NDArray[np.bool_]:
+def lost_flags(table: Table, measured: Sequence[str]) -> NDArray[np.bool_]:
     """Flags of the columns lost and lost_*, (T, m)."""
     lost = np.zeros((len(table.lines), len(measured)), dtype=np.bool_)
     for j, name in enumerate(measured):
@@ -209,7 +210,7 @@ def _truth(table: Table, states: Sequence[str], time: Array) -> Array | None:
     return table.matrix(names, remedy)
 
 
-def _default_model(
+def default_model(
     time: Array, y: Array, measured: Sequence[str], sigmas: Array, acceleration: float
 ) -> LinearModel:
     """White acceleration over the log's own steps, started from its first fixes."""

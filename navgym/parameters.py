@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from navgym._checks import Array, one_of, real_array, shaped, short
 
@@ -86,6 +86,13 @@ class Parameter:
         if self.integer and number != round(number):
             raise ValueError(f"{self.name} must be a whole number, got {number:g}.")
         return number
+
+    def admits(self, values: NDArray[Any]) -> bool:
+        """Whether `values` (T,) are numbers that `check` lets pass, all at once."""
+        if values.dtype.kind not in "fiu" or values.ndim != 1 or not len(values):
+            return False
+        inside = bool(((self.low <= values) & (values <= self.high)).all())
+        return inside and not (self.integer and (values != np.round(values)).any())
 
     @property
     def _unit(self) -> str:
@@ -189,10 +196,13 @@ class ParameterSpace:
     def _column(parameter: Parameter, value: Any) -> Array:
         if isinstance(value, str) or not np.iterable(value):
             return np.array([parameter.check(value)])
-        items = list(value)
-        if not items or any(np.iterable(v) and not isinstance(v, str) for v in items):
-            raise ValueError(f"{parameter.name} must be a number or a list, got {value!r}.")
-        column = np.array([parameter.check(v) for v in items])
+        if isinstance(value, np.ndarray) and parameter.admits(value):
+            column = value.astype(np.float64)
+        else:  # one by one, so that an error can name the value
+            items = list(value)
+            if not items or any(np.iterable(v) and not isinstance(v, str) for v in items):
+                raise ValueError(f"{parameter.name} must be a number or a list, got {value!r}.")
+            column = np.array([parameter.check(v) for v in items])
         if parameter.at_start and (column != column[0]).any():
             raise ValueError(
                 f"{parameter.name} acts at the start only, so that it cannot change on the way, got "

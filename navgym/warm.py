@@ -19,8 +19,12 @@ from navgym.turn_model import CoordinatedTurnModel
 
 ENVIRONMENT = "environment"
 DECK_ENVIRONMENT, IDENTIFICATION = "deck environment", "identification"
+LIVE, DECK_LIVE = "live filter", "live deck filter"
 # what takes longest to compile comes first, so that no process is left with it at the end
-SLOW = (ENVIRONMENT, DECK_ENVIRONMENT, "cukf", "alignment", "bank", "qivbf", IDENTIFICATION)
+SLOW = (
+    ENVIRONMENT, DECK_ENVIRONMENT, LIVE, DECK_LIVE, "cukf", "alignment", "bank", "qivbf",
+    IDENTIFICATION,
+)  # fmt: skip
 SCENARIOS = ("nominal", "position-only", "component-loss", "coordinated-turn")
 
 
@@ -28,7 +32,8 @@ def jobs() -> list[tuple[str, str]]:
     """Pairs (what, scenario) that together touch every kernel."""
     found = [
         (ENVIRONMENT, "switch-D"), (ENVIRONMENT, "position-only"), (DECK_ENVIRONMENT, "paper"),
-        ("alignment", "paper"), (IDENTIFICATION, "paper"),
+        (LIVE, "switch-D"), (LIVE, "position-only"), (DECK_LIVE, "paper"), ("alignment", "paper"),
+        (IDENTIFICATION, "paper"),
     ]  # fmt: skip
     seen = set()
     for scenario in SCENARIOS:
@@ -50,6 +55,10 @@ def compile_one(what: str, scenario: str) -> str:
     elif what == DECK_ENVIRONMENT:
         brief = {"duration": 4.0}
         play("navgym/DeckDeformation-v0", scenario=f"deck/{scenario}", overrides=brief)
+    elif what == LIVE:
+        stream(navgym.simulate(f"auv/{scenario}", steps=3))
+    elif what == DECK_LIVE:
+        stream_deck(navgym.simulate(f"deck/{scenario}", duration=4.0))
     elif what == IDENTIFICATION:
         navgym.identification.RVM().fit([0.0, 1.0, 2.0], [0.0, 1.0, 0.0])
     elif what == "alignment":
@@ -67,6 +76,30 @@ def play(name: str, **arguments: Any) -> None:
     env.reset(seed=0)
     env.step(env.action_space.sample())
     env.close()
+
+
+def stream(recording: navgym.Recording) -> None:
+    """Samples of a recording, one by one."""
+    from navgym.envs.engine import Settings
+    from navgym.envs.live import LiveAUV
+
+    lane = LiveAUV(Settings(), {}, recording.model)
+    for y in recording.measurements:
+        lane.put(y)
+        lane.step(look=True)
+
+
+def stream_deck(recording: navgym.DualIMURecording) -> None:
+    """A filter step of a recording of two IMUs."""
+    from navgym.envs.deck_engine import DeckSettings
+    from navgym.envs.deck_live import LiveDeck
+
+    lane = LiveDeck(DeckSettings(), {}, recording.model, recording.interval)
+    r, k = recording, 0
+    while not lane.ready():
+        lane.put([r.main_angle[k], r.main_velocity[k], r.sub_angle[k], r.sub_velocity[k]])
+        k += 1
+    lane.step(look=True)
 
 
 def main() -> None:

@@ -120,9 +120,9 @@ def _named(row: Row) -> str:
 
 def _reach(rows: Sequence[Row]) -> float:
     """Length that shows the contenders which work: at most four times their median."""
-    sound = sorted(r.mean for r in rows if not r.diverges)
-    shown = [m for m in sound if m <= 4.0 * sound[len(sound) // 2]]
-    return max(shown) * 1.05
+    sound = sorted((r for r in rows if not r.diverges), key=lambda r: r.mean)
+    shown = [r for r in sound if r.mean <= 4.0 * sound[len(sound) // 2].mean]
+    return 1.05 * max(float(np.nanmax([r.mean, r.high])) for r in shown)
 
 
 def _bar(axes: Axes, i: int, row: Row, reach: float, color: str) -> None:
@@ -143,10 +143,15 @@ def _bar(axes: Axes, i: int, row: Row, reach: float, color: str) -> None:
     axes.text(x, i, text, va="center", ha=side)
 
 
-def _log(axes: Axes) -> None:
-    """Logarithmic y axis with plain numbers at a few steps per decade."""
+def plain_log(axes: Axes) -> None:
+    """Logarithmic y axis of what is drawn, with plain numbers at a few steps per decade."""
     axes.set_yscale("log")
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0), numticks=12))
+    low, high = axes.get_ylim()
+    decades = np.log10(high / low)
+    subs = (
+        (1.0, 1.5, 2.0, 3.0, 5.0, 7.0) if decades < 1.5 else (1.0, 3.0) if decades < 3 else (1.0,)
+    )
+    axes.yaxis.set_major_locator(LogLocator(subs=subs, numticks=12))
     axes.yaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_major_formatter("{x:g}")
 
@@ -183,7 +188,7 @@ def example(
     with drawing(caption, 4.6, **grid) as ((above, below), made):
         for label, square in squared.items():
             above.plot(recording.time, moving_rms(square), color=colors[label], lw=1.5, label=label)
-        _log(above)
+        plain_log(above)
         above.set_ylabel("position error, m\n(RMS of the last 20 s)")
         above.grid(axis="y")
         names = recording.meta["regimes"]
@@ -258,6 +263,7 @@ def after_switch(
     rows = -(-len(names) // columns)
     grid = {"ncols": columns, "nrows": rows, "sharey": True, "sharex": True, "squeeze": False}
     with drawing(caption, 3.3 * rows if rows == 1 else 2.7 * rows, **grid) as (panels, made):
+        curves: list[Array] = []
         for spare in panels.flat[len(names) :]:
             spare.set_visible(False)
         for label, (axes, name) in enumerate(zip(panels.flat, names, strict=False)):
@@ -265,12 +271,15 @@ def after_switch(
             for key, errors in squared.items():
                 if len(places) > 1:  # a band needs two
                     windows = np.array([errors[i, k - before : k + after] for i, k in places])
-                    _band(axes, np.arange(-before, after), windows, colors[key], key)
+                    x = np.arange(-before, after)
+                    curves.append(_band(axes, x, windows, colors[key], key))
             axes.axvline(0.0, color=INK, lw=0.8, ls=(0, (2, 2)))
             axes.set_title(f"into {name} ({len(places)})")
             axes.set_xlabel("s after the switch")
             axes.grid(axis="y")
-        _log(panels[0][0])
+        if curves:  # bands may reach far below
+            panels[0][0].set_ylim(0.8 * np.min(curves), 1.25 * np.max(curves))
+        plain_log(panels[0][0])
         for axes in panels[:, 0]:
             axes.set_ylabel(axis)
         panels[0][0].legend(loc="upper right", fontsize=9)
@@ -287,14 +296,18 @@ def _switches(
                 yield i, start
 
 
-def _band(axes: Axes, x: NDArray[Any], windows: Array, color: str, label: str) -> None:
+def _band(axes: Axes, x: NDArray[Any], windows: Array, color: str, label: str) -> Array:
+    """Draw the RMS of windows (N, T) with its 95 % band; returns it, (T,)."""
     mean = windows.mean(axis=0)
     half = 1.96 * windows.std(axis=0, ddof=1) / np.sqrt(len(windows))
+    least = mean / 100.0  # a band that reaches 0 has no lower end on a logarithmic axis
     axes.fill_between(
-        x, np.sqrt(np.maximum(mean - half, 1e-12)), np.sqrt(mean + half),
+        x, np.sqrt(np.maximum(mean - half, least)), np.sqrt(mean + half),
         color=color, alpha=0.25, lw=0,
     )  # fmt: skip
-    axes.plot(x, np.sqrt(mean), color=color, lw=1.5, label=label)
+    root: Array = np.sqrt(mean)
+    axes.plot(x, root, color=color, lw=1.5, label=label)
+    return root
 
 
 # ---- the study

@@ -62,7 +62,8 @@ class AUVDropoutEnv(LaneEnv):
     `reward="difference"` (default): minus the mean over the decision of the squared position error
     less that of the reference filter on the same recording, m², clipped to plus or minus
     `reward_clip`. `"over-oracle"`: minus the squared error over the variance of a filter that knows
-    the true noise. `"absolute"`: minus the root of the mean squared error, m. `"likelihood"`: mean
+    the true noise. `"relative"`: the difference over the mean variance of that filter on the recording,
+    so that recordings of any noise count alike. `"absolute"`: minus the root of the mean squared error, m. `"likelihood"`: mean
     log-likelihood of the innovations, for recordings without truth.
 
     ## Starting State
@@ -94,7 +95,7 @@ class AUVDropoutEnv(LaneEnv):
         reference: parameters of the reference filter; by default the scenario's best fixed ones,
             or the filter's defaults for recordings of your own. With several scenarios each has
             its own; residual actions start from the first one's.
-        reward: "difference", "over-oracle", "absolute" or "likelihood".
+        reward: "difference", "relative", "over-oracle", "absolute" or "likelihood".
         reward_clip: bound on the reward.
         render_mode: "rgb_array", "human" or None.
 

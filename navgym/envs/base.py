@@ -8,6 +8,7 @@ the engine's own.
 from __future__ import annotations
 
 import copy
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -17,12 +18,19 @@ from numpy.typing import NDArray
 
 from navgym._checks import Array, one_of, positive_int
 from navgym._compile import entry
+from navgym.envs.actions import action_table
 from navgym.parameters import ParameterSpace
 from navgym.scenarios.seeds import SIZE, seeds
 from navgym.simulation import find_scenario, simulate_many
+from navgym.tuned import read_tuned
 
 # the first columns of a decision's outcome, in every engine; information follows
 REWARD, TERMINATED, TRUNCATED, INFORMATION = range(4)
+
+# what a live lane adds up between two decisions: samples in which something was received, NIS of the
+# controlled filter, its degrees of freedom, and how well both filters foretold what came in
+HEARD, NIS_SUM, FREEDOM, SCORE, REFERENCE_SCORE = range(5)
+TALLY = 5
 
 
 @dataclass(frozen=True)
@@ -37,10 +45,11 @@ class LaneSettings:
     decision_interval: int = 1
     action_parameters: str | Sequence[str] = ()
     action: str = "absolute"
-    reference: Mapping[str, Any] | None = None
+    reference: Mapping[str, Any] | str | os.PathLike[str] | None = None
     reward: str = ""
     reward_clip: float = 20.0
 
+    FILTER: ClassVar[str]  # whose parameters the agent sets
     SPACE: ClassVar[ParameterSpace]
     REWARDS: ClassVar[tuple[str, ...]]
     RECORDING: ClassVar[type]
@@ -185,16 +194,9 @@ class LaneEngine:
     # ---- actions ---------------------------------------------------------------------------
 
     def _action_table(self) -> Array:
-        """Rows for `kernels.set_parameters`."""
-        space = self.space.subset(self.settings.action_parameters)
-        rows = []
-        for p, (low, high, code, integer) in zip(space, space.table(), strict=True):
-            residual = self.settings.action == "residual"
-            column = self.space.index(p.name)
-            own = p.warp(self.space.array(self.reference)[0, column])
-            centre = own if residual else (low + high) / 2
-            rows.append((column, centre, (high - low) / 2, low, high, code, integer, p.low, p.high))
-        return np.array(rows, dtype=np.float64)
+        chosen = self.settings
+        names, residual = chosen.action_parameters, chosen.action == "residual"
+        return action_table(self.space, names, self._row(self.reference), residual)
 
     @property
     def info_fields(self) -> tuple[str, ...]:
@@ -225,6 +227,8 @@ class LaneEngine:
         chosen = self.settings.reference
         if chosen is None:
             chosen = {} if self.settings.recordings is not None else scenario.reference
+        elif isinstance(chosen, (str, os.PathLike)):
+            chosen = read_tuned(chosen).parameters
         if len(self.space.array(chosen)) > 1:
             raise ValueError(f"reference must hold one number per parameter, got {chosen!r}.")
         return self.space.defaults | dict(chosen)
@@ -262,6 +266,10 @@ class LaneEngine:
         """Give lane i its source of randomness."""
         self._generators[i] = generator
 
+    def generator(self, i: int) -> np.random.Generator:
+        """Lane i's source of randomness."""
+        return self._generators[i]
+
     def restart(
         self, i: int, recording: int | None = None, start: int | None = None
     ) -> NDArray[np.float32]:
@@ -284,6 +292,10 @@ class LaneEngine:
             which = int(self._generators[i].integers(count)) if recording is None else recording
             if not 0 <= which < count:
                 raise ValueError(f"options['recording'] must lie in 0..{count - 1}, got {which}.")
+        return self.place(i, which, start)
+
+    def place(self, i: int, which: int, start: int | None = None) -> NDArray[np.float32]:
+        """Put lane i into recording `which` of its shelf without drawing; see `restart`."""
         length = int(self.shelf.stations["length"][which])
         if start is not None and not 0 <= start < length:
             raise ValueError(f"options['start'] must lie in 0..{length - 1}, got {start}.")
@@ -320,6 +332,24 @@ class LaneEngine:
         if not self._decide(*arguments):
             raise ValueError(f"action must be numbers in -1..1, got {actions}.")
         return out
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Copies of what lanes hold between two steps, but for their generators; see `restore`."""
+        return {"lanes": self.lanes.copy(), "stations": self.stations.copy()}
+
+    def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
+        """Put all lanes where `snapshot` of an engine with the same settings and recordings was.
+
+        Raises ValueError for arrays of another type or number of lanes.
+        """
+        for name, own in self.snapshot().items():
+            given = snapshot[name]
+            if given.shape != own.shape or given.dtype != own.dtype:
+                raise ValueError(
+                    f"snapshot[{name!r}] is of another engine: it has shape {given.shape}, not "
+                    f"{own.shape}, or other fields."
+                )
+            getattr(self, name)[...] = given
 
     def __getstate__(self) -> dict[str, Any]:
         """Machine code stays behind; a copy looks it up again."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -41,6 +41,7 @@ class DeckSettings(LaneSettings):
     ac_weight: float = 0.5
     theta_price: float = 1.0
 
+    FILTER = "idam"
     SPACE = spaces.IDAM
     REWARDS = ("composite", "absolute", "likelihood")
     RECORDING = DualIMURecording
@@ -80,12 +81,8 @@ class DeckEngine(LaneEngine):
         s = self.settings
         self.lanes = np.zeros(self.count, alignment.LANE)
         self.models = np.repeat(self.shelf.models[:1], self.count, axis=0)
-        self.stations = np.repeat(self._station(self._row(self.reference)), self.count)
-        self._rule = np.zeros(1, K.RULE)
-        self._rule["interval"], self._rule["kind"] = s.decision_interval, s.REWARDS.index(s.reward)
-        self._rule["clip"], self._rule["ac_weight"] = s.reward_clip, s.ac_weight
-        self._rule["theta_price"] = s.theta_price
-        self._rule["first_group"] = FEATURES.index(s.features)
+        self.stations = np.repeat(station_of(self._row(self.reference)), self.count)
+        self._rule = rule_of(s)
         longest = self.shelf.tapes.shape[1] if trail else 0
         self.trail = np.full(
             (self.count, longest, alignment.STATES + alignment.MEASUREMENTS), np.nan
@@ -100,14 +97,7 @@ class DeckEngine(LaneEngine):
     @property
     def observation_names(self) -> tuple[str, ...]:
         """One name per element of an observation."""
-        groups = ("velocity", "rate") if self.settings.features == "all" else ("rate",)
-        found = [
-            f"{group}.{signal}"
-            for group in groups
-            for signal in (*(f"log_nis.{d:g}" for d in K.DECAYS), *SIGNALS)
-        ]
-        own = [f"parameter.{name}" for name in self.settings.action_parameters]
-        return (*found, "sea.10s", "sea.60s", *own)
+        return observation_names(self.settings)
 
     # ---- where recordings come from ----------------------------------------------------
 
@@ -117,7 +107,7 @@ class DeckEngine(LaneEngine):
         return Shelf(
             tapes=np.zeros((lanes, longest), TAPE),
             models=models,
-            stations=np.repeat(self._station(self._row(self.reference)), lanes),
+            stations=np.repeat(station_of(self._row(self.reference)), lanes),
             labels=[{} for _ in range(lanes)],
             extra={
                 "scores": np.zeros((lanes, longest, K.SCORES + 1)),
@@ -143,7 +133,7 @@ class DeckEngine(LaneEngine):
             )
         count, steps = batch.tapes.shape
         models = np.stack([alignment.pack(r) for r in batch.recordings])
-        stations = np.concatenate([self._station(row) for row in rows])
+        stations = np.concatenate([station_of(row) for row in rows])
         stations["which"], stations["length"] = np.arange(count), batch.lengths
         lanes, checkpoints = (np.zeros(count, alignment.LANE) for _ in range(2))
         alignment.begin(lanes, models, stations["row"][:, : K.COLUMNS])
@@ -170,12 +160,6 @@ class DeckEngine(LaneEngine):
         fits = batch.lengths > warm + self.settings.decision_interval
         return np.where(fits, warm, 0)
 
-    @staticmethod
-    def _station(row: Array) -> NDArray[Any]:
-        station = np.zeros(1, K.STATION)
-        station["active"], station["row"] = 1, row
-        return station
-
     # ---- life of a lane -------------------------------------------------------------
 
     def _start_lane(self, i: int, which: int, start: int | None) -> NDArray[np.float32]:
@@ -187,7 +171,7 @@ class DeckEngine(LaneEngine):
             lane[...] = shelf.extra["checkpoints"][which]
         else:
             row = station["row"].copy()
-            station[...] = self._station(row[0])
+            station[...] = station_of(row[0])
             station["which"], station["length"] = which, shelf.stations["length"][which]
             alignment.begin(lane, self.models[i : i + 1], row[:, : K.COLUMNS])
         if start:
@@ -228,6 +212,16 @@ class DeckEngine(LaneEngine):
             if found is not None:
                 alignment.write_flexure(self.models[i, 0], found)
 
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """See `LaneEngine`; lanes that identify hold models of their own."""
+        return super().snapshot() | {"models": self.models.copy()}
+
+    def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
+        """See `LaneEngine`."""
+        super().restore(snapshot)
+        believed = self.shelf.extra["believed"]
+        self.believed = [believed[which] for which in self.stations["which"]]
+
     def _means(self) -> Array:
         means: Array = self.shelf.extra["means"].reshape(-1, K.SCORES)
         return means
@@ -237,3 +231,33 @@ class DeckEngine(LaneEngine):
             self.lanes, self.stations, self.models, self.shelf.tapes, self.shelf.extra["scores"],
             self._means(), self._filter_rule, self._rule, self.table, self._actions,
         )  # fmt: skip
+
+
+def observation_names(settings: DeckSettings) -> tuple[str, ...]:
+    """One name per element of an observation of such an environment."""
+    groups = ("velocity", "rate") if settings.features == "all" else ("rate",)
+    found = [
+        f"{group}.{signal}"
+        for group in groups
+        for signal in (*(f"log_nis.{d:g}" for d in K.DECAYS), *SIGNALS)
+    ]
+    own = [f"parameter.{name}" for name in settings.action_parameters]
+    return (*found, "sea.10s", "sea.60s", *own)
+
+
+def rule_of(settings: DeckSettings) -> NDArray[Any]:
+    """The kernels' rule (1,)."""
+    rule = np.zeros(1, K.RULE)
+    rule["interval"] = settings.decision_interval
+    rule["kind"] = settings.REWARDS.index(settings.reward)
+    rule["clip"], rule["ac_weight"] = settings.reward_clip, settings.ac_weight
+    rule["theta_price"] = settings.theta_price
+    rule["first_group"] = FEATURES.index(settings.features)
+    return rule
+
+
+def station_of(row: Array) -> NDArray[Any]:
+    """A station (1,) at the start of a recording, with parameters `row` in force."""
+    station = np.zeros(1, K.STATION)
+    station["active"], station["row"] = 1, row
+    return station

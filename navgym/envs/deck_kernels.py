@@ -12,10 +12,20 @@ import math
 import numpy as np
 
 from navgym._compile import kernel, part
-from navgym.envs.actions import bounded, log_square, place, set_parameters
-from navgym.envs.base import INFORMATION, REWARD, TERMINATED, TRUNCATED
+from navgym.envs.actions import bounded, foretold, log_square, place, set_parameters
+from navgym.envs.base import (
+    FREEDOM,
+    HEARD,
+    INFORMATION,
+    NIS_SUM,
+    REWARD,
+    SCORE,
+    TERMINATED,
+    TRUNCATED,
+)
 from navgym.filters import alignment
 from navgym.filters.alignment import MEASUREMENTS, RATE, STATES, THETA
+from navgym.filters.mechanization import disturb, mechanize_step
 from navgym.flexure import ARCMIN
 
 PARAMETERS = 6  # of the environment's space; the first ones are the filter kernel's
@@ -260,3 +270,68 @@ def first_look(stations, rules, table, obs):
     """Observations (N, ·) before the first decision."""
     for i in range(stations.shape[0]):
         observe(stations[i], rules[0], table, obs, i)
+
+
+# rows of what strapdown mechanisation carries from step to step
+LEVER, ATTITUDE_M, ATTITUDE_S, VELOCITY_M, VELOCITY_S = range(5)
+HISTORY = 2  # samples before a step that its mechanisation looks back on
+
+
+@part
+def rate_surprise(lane):
+    """Sums over the used rate channels, each by itself: squared innovation over S, log S, count."""
+    square, log_det, count = 0.0, 0.0, 0.0
+    for c in range(3, MEASUREMENTS):
+        if lane.used[c]:
+            square += lane.innovation[c] ** 2 / lane.variance[c]
+            log_det += math.log(lane.variance[c])
+            count += 1.0
+    return square, log_det, count
+
+
+@kernel
+def live(
+    lanes, stations, models, tapes, filter_rules, rules, table, samples, filled, lever, moving,
+    disturbance, tally, look, obs,
+):  # fmt: skip
+    """One filter step of a voyage under way; returns which of the two lanes have diverged, as bits.
+
+    Args:
+        lanes: (2,) the controlled filter and the reference filter.
+        stations: (2,) of both.
+        models: (1,).
+        tapes: (1,) to be filled with what the step's samples amount to.
+        filter_rules: (1,).
+        rules: (1,).
+        table: as `decide` takes it: what the observation tells of the parameters in force.
+        samples: (4, HISTORY + per, 3) increments in the order of a recording's fields: the
+            step's samples, and those before it.
+        filled: (HISTORY + per,) whether a sample was filled in.
+        lever: (3,) m.
+        moving: (5, 4) what the mechanisation carries along.
+        disturbance: (6,) errors of the step's transmitted quantities; zeros at sea.
+        tally: (5,) sums over the decision so far, over the rate channels; this step becomes part.
+        look: whether to write the observation.
+        obs: (1, n) to write it to.
+    """
+    nothing = np.zeros(MEASUREMENTS)
+    model, tape = models[0], tapes[0]
+    mechanize_step(
+        samples[0], samples[1], samples[2], samples[3], filled, HISTORY,
+        samples.shape[1] - HISTORY, lever, model.interval, moving[LEVER], moving[ATTITUDE_M],
+        moving[ATTITUDE_S], moving[VELOCITY_M], moving[VELOCITY_S], tape,
+    )  # fmt: skip
+    disturb(tape, disturbance)
+    for i in range(2):
+        filter_step(stations[i], lanes[i], model, tape, filter_rules[0], nothing)
+    for i in range(2):
+        square, log_det, count = rate_surprise(lanes[i])
+        if count > 0.0:
+            tally[SCORE + i] += foretold(square, log_det, count)
+            if i == 0:
+                tally[HEARD] += 1.0
+                tally[NIS_SUM] += square
+                tally[FREEDOM] += count
+    if look:
+        observe(stations[0], rules[0], table, obs, 0)
+    return (lanes[0].diverged > 0) + 2 * (lanes[1].diverged > 0)

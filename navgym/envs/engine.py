@@ -22,6 +22,8 @@ from navgym.scenarios.auv import AUVScenario
 COMMON_NAMES = (
     "curvature", "lost", "since_received", "noise_position", "noise_velocity", "widening", "change",
 )  # fmt: skip
+# measure errors by what a filter reaches that knows all
+ORACLE_REWARDS = ("over-oracle", "relative")
 
 
 @dataclass(frozen=True)
@@ -35,8 +37,9 @@ class Settings(LaneSettings):
     )  # fmt: skip
     reward: str = "difference"
 
+    FILTER = "qivbf"
     SPACE = spaces.QIVBF
-    REWARDS = ("difference", "over-oracle", "absolute", "likelihood")
+    REWARDS = ("difference", "over-oracle", "absolute", "likelihood", "relative")
     RECORDING = Recording
     SCENARIO = AUVScenario
 
@@ -53,12 +56,12 @@ class Engine(LaneEngine):
         given = self.settings.recordings
         if given is not None and not len(given):
             raise ValueError("recordings must hold at least one Recording, got none.")
-        self.model = _linear(self._scenarios[0].model if given is None else given[0].model)
+        self.model = linear(self._scenarios[0].model if given is None else given[0].model)
 
     def _allocate(self, trail: bool) -> None:
         n, m = self.model.n, self.model.m
         self.lanes = np.zeros(self.count, qivbf.lane_type(n, m))
-        self.stations = np.repeat(self._station(self.model, self._row(self.reference)), self.count)
+        self.stations = np.repeat(station_of(self.model, self._row(self.reference)), self.count)
         chosen = self.settings
         reward = chosen.REWARDS.index(chosen.reward)
         self._rule = np.array([(chosen.decision_interval, reward, chosen.reward_clip)], K.RULE)
@@ -75,16 +78,7 @@ class Engine(LaneEngine):
     @property
     def observation_names(self) -> tuple[str, ...]:
         """One name per element of an observation."""
-        signals = ("log_nis", "alarm", "correlation", "power_position", "power_velocity")
-        streams = [
-            f"{stream}.{s}.{d:g}"
-            for stream in ("filter", "frozen")
-            for s in signals
-            for d in K.DECAYS
-        ]
-        common = [f"{name}.{d:g}" for name in COMMON_NAMES[:2] for d in K.DECAYS]
-        own = [f"parameter.{name}" for name in self.settings.action_parameters]
-        return (*streams, *common, *COMMON_NAMES[2:], *own)
+        return observation_names(self.settings.action_parameters)
 
     # ---- where recordings come from ----------------------------------------------------
 
@@ -98,7 +92,7 @@ class Engine(LaneEngine):
         return Shelf(
             tapes=np.zeros((lanes, longest), K.tape_type(*sizes.pop())),
             models=np.stack([models[0].pack()] * lanes),
-            stations=np.repeat(self._station(self.model, self._row(self.reference)), lanes),
+            stations=np.repeat(station_of(self.model, self._row(self.reference)), lanes),
             labels=[{} for _ in range(lanes)],
             extra={},
         )
@@ -117,7 +111,7 @@ class Engine(LaneEngine):
             place: tapes (R, T) to write to, used if they have the right size.
         """
         for r in recordings:
-            _linear(r.model)
+            linear(r.model)
         batch = Batch.of(recordings)
         self._check_usable(batch)
         n, m = batch.models.dtype["x0"].shape[0], batch.y.shape[2]
@@ -129,7 +123,7 @@ class Engine(LaneEngine):
         for i, r in enumerate(recordings):
             tapes["regime"][i, : len(r)] = np.nan if r.regime is None else r.regime
         pairs = zip(recordings, rows, strict=True)
-        stations = np.concatenate([self._station(r.model, row) for r, row in pairs])
+        stations = np.concatenate([station_of(r.model, row) for r, row in pairs])
         stations["which"], stations["length"] = np.arange(len(recordings)), batch.lengths
         self._fill(tapes, batch, stations)
         labels = [{"recording": i, **dict(r.meta)} for i, r in enumerate(recordings)]
@@ -143,22 +137,14 @@ class Engine(LaneEngine):
         kalman.begin(frozen, batch.models, stations["row"])
         kalman.begin(oracles, batch.models, stations["row"])
         qivbf.begin(references, batch.models, stations["row"][:, None])
-        scales = batch.scales if self.settings.reward == "over-oracle" else None
+        scales = batch.scales if self.settings.reward in ORACLE_REWARDS else None
         scales = np.zeros((count, 0, 2)) if scales is None else scales
         K.prepare(
             tapes, batch.models, batch.lengths, frozen, references, oracles, stations.copy(), scales
         )
-
-    @staticmethod
-    def _station(model: LinearModel, row: Array) -> NDArray[Any]:
-        """A station (1,) at the start of a recording, with parameters `row` in force."""
-        station = np.zeros(1, K.station_type(model.n, model.m, len(row)))
-        station["active"] = 1
-        station["row"] = row
-        station["position"][:, list(model.position)] = 1
-        H = model.H.reshape(-1, model.m, model.n)[0]
-        station["kind"] = [int(np.argmax(np.abs(each)) not in model.position) for each in H]
-        return station
+        if self.settings.reward == "relative":
+            variances = zip(tapes["oracle_variance"], batch.lengths, strict=True)
+            stations["scale"] = [float(each[:length].mean()) for each, length in variances]
 
     def _check_usable(self, batch: Batch) -> None:
         reward = self.settings.reward
@@ -167,9 +153,9 @@ class Engine(LaneEngine):
                 f"reward={reward!r} needs the truth, which these recordings lack: "
                 "use reward='likelihood'."
             )
-        if reward == "over-oracle" and batch.scales is None:
+        if reward in ORACLE_REWARDS and batch.scales is None:
             raise ValueError(
-                "reward='over-oracle' needs the true noise scales, which only simulated "
+                f"reward={reward!r} needs the true noise scales, which only simulated "
                 "recordings carry: use reward='difference'."
             )
 
@@ -198,7 +184,30 @@ class Engine(LaneEngine):
         )  # fmt: skip
 
 
-def _linear(model: Any) -> LinearModel:
+def observation_names(action_parameters: Sequence[str]) -> tuple[str, ...]:
+    """One name per element of an observation where the agent sets `action_parameters`."""
+    signals = ("log_nis", "alarm", "correlation", "power_position", "power_velocity")
+    streams = [
+        f"{stream}.{s}.{d:g}" for stream in ("filter", "frozen") for s in signals for d in K.DECAYS
+    ]
+    common = [f"{name}.{d:g}" for name in COMMON_NAMES[:2] for d in K.DECAYS]
+    own = [f"parameter.{name}" for name in action_parameters]
+    return (*streams, *common, *COMMON_NAMES[2:], *own)
+
+
+def station_of(model: LinearModel, row: Array) -> NDArray[Any]:
+    """A station (1,) at the start of a recording, with parameters `row` in force."""
+    station = np.zeros(1, K.station_type(model.n, model.m, len(row)))
+    station["active"] = 1
+    station["row"] = row
+    station["position"][:, list(model.position)] = 1
+    H = model.H.reshape(-1, model.m, model.n)[0]
+    station["kind"] = [int(np.argmax(np.abs(each)) not in model.position) for each in H]
+    return station
+
+
+def linear(model: Any) -> LinearModel:
+    """`model` if it is a LinearModel; TypeError if not."""
     if not isinstance(model, LinearModel):
         raise TypeError(
             f"the environment's filter needs recordings with a LinearModel, got a "

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from navgym._compile import inline, kernel, part
-from navgym.envs.actions import bounded, log_square, place, set_parameters
+from navgym.envs.actions import bounded, foretold, log_square, place, set_parameters
+from navgym.envs.base import FREEDOM, HEARD, NIS_SUM, SCORE
 from navgym.filters import kalman, qivbf
-from navgym.filters.lane import NUMERICAL, quadratic
+from navgym.filters.lane import LOG_2PI, NUMERICAL, quadratic
 
 DECAYS = np.array([0.5, 0.8, 0.95])
 SIGNALS = 5  # per stream: NIS, alarm, correlation, power of positions, power of velocities
@@ -26,7 +27,7 @@ COMMON = 2 * len(DECAYS) + 5  # observations that belong to neither stream
 
 LOST_TRACK = 1e12  # squared error, m², of a reference filter that failed numerically
 
-DIFFERENCE, OVER_ORACLE, ABSOLUTE, LIKELIHOOD = range(4)
+DIFFERENCE, OVER_ORACLE, ABSOLUTE, LIKELIHOOD, RELATIVE = range(5)
 # columns of a decision's outcome, the first three as in `base`; the physical parameters follow
 REWARD, TERMINATED, TRUNCATED, RMSE, REFERENCE_RMSE, NIS, LOST, REGIME, TERM, INFO = range(10)
 RULE = np.dtype([("interval", np.int64), ("kind", np.int64), ("clip", np.float64)])
@@ -66,6 +67,7 @@ def station_type(n: int, m: int, parameters: int) -> np.dtype[Any]:
             ("widening", f8),
             ("change", f8),
             ("row", f8, (parameters,)),
+            ("scale", f8),  # m², what the relative reward measures errors by
             # one stream of features
             ("mean", f8, (STREAM,)),
             ("last", f8, (m,)),
@@ -163,6 +165,26 @@ def adaptive_step(lane, model, sample, station, received):
     )  # fmt: skip
 
 
+@part
+def accompany(sample, model, station, nominal, reference):
+    """What runs beside the controlled filter: the frozen and the reference filter.
+
+    The sample then carries the frozen one's features; the reference has the station's parameters.
+    """
+    received = take(nominal, sample)
+    c = curvature(nominal, model, sample.time)
+    kalman.step(nominal, model, sample.time, received, 1.0, 1.0, 0, 1.0)
+    watch(station, nominal, model, received)
+    if c >= 0.0:
+        blend(station.curvature, 0, log_square(c))
+    for j in range(STREAM):
+        sample.frozen[j] = station.mean[j]
+    for j in range(DECAYS.shape[0]):
+        sample.curvature[j] = station.curvature[j]
+    received = take(reference, sample)
+    adaptive_step(reference, model, sample, station, received)
+
+
 @kernel
 def prepare(tapes, models, lengths, frozen, references, oracles, stations, scales):
     """Fill the tapes (R, T): reference error, frozen features and, given scales, oracle variance."""
@@ -171,18 +193,7 @@ def prepare(tapes, models, lengths, frozen, references, oracles, stations, scale
         for k in range(lengths[i]):
             sample = tapes[i, k]
             model = models[i, min(k, models.shape[1] - 1)]
-            received = take(nominal, sample)
-            c = curvature(nominal, model, sample.time)
-            kalman.step(nominal, model, sample.time, received, 1.0, 1.0, 0, 1.0)
-            watch(station, nominal, model, received)
-            if c >= 0.0:
-                blend(station.curvature, 0, log_square(c))
-            for j in range(STREAM):
-                sample.frozen[j] = station.mean[j]
-            for j in range(DECAYS.shape[0]):
-                sample.curvature[j] = station.curvature[j]
-            received = take(reference, sample)
-            adaptive_step(reference, model, sample, station, received)
+            accompany(sample, model, station, nominal, reference)
             sample.reference_error = square_error(reference, sample, station)
             if reference.diverged == NUMERICAL:
                 sample.reference_error = LOST_TRACK
@@ -203,6 +214,17 @@ def count_loss(station, received, m):
     for d in range(DECAYS.shape[0]):
         station.lost[d] += (1.0 - DECAYS[d]) * (1.0 - received / m - station.lost[d])
     station.since = 0.0 if received > 0 else station.since + 1.0
+
+
+@part
+def control(lane, model, sample, station):
+    """The controlled filter on a sample, and its features; returns how many components came in."""
+    received = take(lane, sample)
+    adaptive_step(lane, model, sample, station, received)
+    take(lane, sample)  # a fill has overwritten it
+    watch(station, lane, model, received)
+    count_loss(station, received, lane.y.shape[0])
+    return received
 
 
 @part
@@ -253,10 +275,12 @@ def observe(station, sample, table, obs, i):
 
 
 @part
-def earn(kind, clip, error, reference, relative, likelihood, count):
+def earn(kind, clip, error, reference, relative, likelihood, count, scale):
     """The decision's reward from its sums over `count` samples."""
     if kind == DIFFERENCE:
         term = (reference - error) / count
+    elif kind == RELATIVE:
+        term = (reference - error) / (count * scale)
     elif kind == OVER_ORACLE:
         term = -relative / count
     elif kind == ABSOLUTE:
@@ -294,11 +318,7 @@ def decide(lanes, stations, models, tapes, table, rule, actions, obs, out, trail
         for k in range(station.k, last):
             sample = tapes[which, k]
             model = models[which, min(k, models.shape[1] - 1)]
-            received = take(lane, sample)
-            adaptive_step(lane, model, sample, station, received)
-            take(lane, sample)
-            watch(station, lane, model, received)
-            count_loss(station, received, lane.y.shape[0])
+            received = control(lane, model, sample, station)
             e = square_error(lane, sample, station)
             error += e
             reference += sample.reference_error
@@ -316,7 +336,9 @@ def decide(lanes, stations, models, tapes, table, rule, actions, obs, out, trail
         sample = tapes[which, last - 1]
         note(station, lane, models[which, min(last - 1, models.shape[1] - 1)])
         observe(station, sample, table, obs, i)
-        reward, term = earn(rule[0].kind, clip, error, reference, relative, likelihood, count)
+        reward, term = earn(
+            rule[0].kind, clip, error, reference, relative, likelihood, count, station.scale
+        )
         failed = lane.diverged > 0
         out[i, REWARD] = -clip if failed else reward
         out[i, TERMINATED] = 1.0 if failed else 0.0
@@ -338,3 +360,38 @@ def first_look(stations, table, obs):
     for i in range(stations.shape[0]):
         for a in range(table.shape[0]):
             obs[i, 2 * STREAM + COMMON + a] = place(stations[i], table, a)
+
+
+@kernel
+def live(lanes, frozen, stations, models, samples, table, tally, look, obs):
+    """One sample of a voyage under way; returns which filters have failed, as bits.
+
+    1: the controlled filter has diverged, 2: the reference, 4: the frozen filter holds no numbers.
+
+    Args:
+        lanes: (2,) the controlled filter and the reference filter.
+        frozen: (1,) the frozen filter.
+        stations: (2,) of the controlled filter, and of those beside it.
+        models: (1,) for this sample.
+        samples: (1,) a tape's record, of which y, lost and time are given.
+        table: as `decide` takes it: what the observation tells of the parameters in force.
+        tally: (5,) sums over the decision so far, of which this sample becomes part.
+        look: whether to write the observation.
+        obs: (1, n) to write it to.
+    """
+    model, sample = models[0], samples[0]
+    accompany(sample, model, stations[1], frozen[0], lanes[1])
+    received = control(lanes[0], model, sample, stations[0])
+    if received > 0:
+        tally[HEARD] += 1.0
+        tally[NIS_SUM] += lanes[0].nis
+        tally[FREEDOM] += received
+        for i in range(2):
+            lane = lanes[i]
+            log_det = -2.0 * lane.log_likelihood - lane.nis - received * LOG_2PI
+            tally[SCORE + i] += foretold(lane.nis, log_det, received)
+    if look:
+        note(stations[0], lanes[0], model)
+        observe(stations[0], sample, table, obs, 0)
+    failed = (lanes[0].diverged > 0) + 2 * (lanes[1].diverged > 0)
+    return failed + 4 * (frozen[0].diverged == NUMERICAL)

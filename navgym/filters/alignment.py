@@ -110,17 +110,31 @@ def pack(
     recording: DualIMURecording, flexures: Sequence[FlexureModel] | None = None
 ) -> NDArray[Any]:
     """What a lane believes: MODEL records, one per flexure model (the recording's by default)."""
-    model, dt = recording.model, recording.step
+    first = filled(recording)[0][0][:3]
+    return pack_model(recording.model, recording.interval, first, flexures)
+
+
+def pack_model(
+    model: DeckModel, interval: float, first: Array, flexures: Sequence[FlexureModel] | None = None
+) -> NDArray[Any]:
+    """MODEL records without a recording.
+
+    Args:
+        model: what is believed.
+        interval: s between IMU samples.
+        first: (3, 3) rad, the main IMU's first three angle increments.
+        flexures: a record for each of these; the model's own by default.
+    """
     chosen = [model.flexure] if flexures is None else list(flexures)
     packed = np.zeros(len(chosen), MODEL)
-    packed["dt"], packed["interval"] = dt, recording.interval
+    dt = interval * model.samples_per_step
+    packed["dt"], packed["interval"] = dt, interval
     packed["lever"] = lever_matrix(model.lever_arm)
     packed["gyro"] = model.gyro_noise**2 * dt
     packed["accelerometer"] = model.accelerometer_noise**2 * dt
     packed["rate"] = model.rate_noise**2
     packed["start"] = _start(model)
-    h, a = recording.interval, filled(recording)[0][0][:3]
-    packed["omega"] = (11.0 * a[0] - 7.0 * a[1] + 2.0 * a[2]) / (6.0 * h)
+    packed["omega"] = (11.0 * first[0] - 7.0 * first[1] + 2.0 * first[2]) / (6.0 * interval)
     for record, flexure in zip(packed, chosen, strict=True):
         write_flexure(record, flexure)
     return packed

@@ -15,6 +15,7 @@ both (`axes` = 2); otherwise the state is treated as a whole (`axes` = 1). One k
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -176,6 +177,30 @@ def estimate(
     found: dict[str, Any] = outputs(batch, n, m, everything)
     count, steps = batch.y.shape[:2]
     found["weights"] = np.full((count, steps if everything else 0, *modes.shape), np.nan)
+    lanes = run_lanes(run, batch, table, interval, modes, found)
+    return found | {"diverged": lanes["diverged"] > 0}
+
+
+def run_lanes(
+    runner: Callable[..., None],
+    batch: Batch,
+    table: Array,
+    interval: int,
+    modes: ModeSet,
+    found: dict[str, Any],
+) -> NDArray[Any]:
+    """Run `runner` (`run`, or one that is called alike) over a batch; returns the final lanes.
+
+    Args:
+        runner: takes lanes, what they filter, and the arrays of `found`, in this order.
+        batch: stacked recordings.
+        table: parameters, (N or 1, intervals, up to 5).
+        interval: samples per row of the table.
+        modes: of the bank.
+        found: arrays (N, ...) that the runner writes to.
+    """
+    n, m = batch.models.dtype["x0"].shape[0], batch.y.shape[2]
+    count = len(batch)
     table = padded(table, (1.0, 1.0, 0.97, 1.0, 0.0))
     until = np.array([_alike_until(batch, i) for i in range(count)])
     whole = np.zeros(count, lane_type(n, m, 1))
@@ -185,15 +210,15 @@ def estimate(
         shared = np.zeros(len(first), lane_type(n, m, 2))
         begin(shared, batch.models[first], modes, 2)
         shared["length"] = until[first]
-        _run_some(batch, table, interval, modes, shared, first, found)
+        _run_some(runner, batch, table, interval, modes, shared, first, found)
         whole[first] = unfolded(shared, whole.dtype)
     then = np.flatnonzero(until < batch.lengths)
     if len(then):
         rest = whole[then]
         rest["length"] = batch.lengths[then]
-        _run_some(batch, table, interval, modes, rest, then, found)
+        _run_some(runner, batch, table, interval, modes, rest, then, found)
         whole[then] = rest
-    return found | {"diverged": whole["diverged"] > 0}
+    return whole
 
 
 def _alike_until(batch: Batch, i: int) -> int:
@@ -207,6 +232,7 @@ def _alike_until(batch: Batch, i: int) -> int:
 
 
 def _run_some(
+    runner: Callable[..., None],
     batch: Batch,
     table: Array,
     interval: int,
@@ -221,7 +247,7 @@ def _run_some(
     models = batch.models[pick]
     small = half(models) if lanes["mean"].shape[-1] == 2 else models
     mine = {name: array[pick] for name, array in found.items()}
-    run(
+    runner(
         lanes, models, small, batch.y[pick], batch.lost[pick],
         table if len(table) == 1 else table[pick], interval, modes.table(),
         np.array(modes.prior) / sum(modes.prior), modes.near, *mine.values(),

@@ -164,58 +164,89 @@ def advance(q, angle, velocity, last_angle, last_velocity, V, mean):
         mean[i] += turned[i]
 
 
+@part
+def end_rate(a, b, c, h, omega):
+    """Rate at the end of the increment `a`, extrapolated through it and the two before, b and c."""
+    for i in range(3):
+        omega[i] = (11.0 * a[i] - 7.0 * b[i] + 2.0 * c[i]) / (6.0 * h)
+
+
+@part
+def cross(a, b, out):
+    """out = a × b."""
+    for i in range(3):
+        n, m = (i + 1) % 3, (i + 2) % 3
+        out[i] = a[n] * b[m] - a[m] * b[n]
+
+
 @kernel
-def mechanize(
-    main_angle, main_velocity, sub_angle, sub_velocity, filled, lever, h, per, disturbance, tape
-):
-    """Fill the matching quantities of a tape (K,) from increments (T, 3) of both IMUs, `per` of them a step.
+def begin_lever(main_angle, lever, h, start):
+    """The rigid lever arm's velocity ω × r at the start, from the first three increments."""
+    omega = np.empty(3)
+    end_rate(main_angle[0], main_angle[1], main_angle[2], h, omega)
+    cross(omega, lever, start)
+
+
+@part
+def mechanize_step(
+    main_angle, main_velocity, sub_angle, sub_velocity, filled, first, per, lever, h, start,
+    q_m, q_s, V_m, V_s, out,
+):  # fmt: skip
+    """Fill a tape's record with the step whose first sample is `first`; q and V move on.
 
     The rigid lever arm's velocity needs no derivative of a rate: ∫ C (ω×ω×r + ω̇×r) is
     C (ω × r) less its value at the start. The rate at the end of a sample is extrapolated
     through the last three increments.
     """
-    steps = len(tape)
+    w_m, w_s, before = np.zeros(3), np.zeros(3), np.empty(3)
+    omega, swing, levered = np.empty(3), np.empty(3), np.empty(3)
+    out.gap = 0
+    out.model = 0
+    for i in range(3):
+        before[i] = V_s[i]
+    for k in range(first, first + per):
+        j = max(k - 1, 0)
+        advance(q_m, main_angle[k], main_velocity[k], main_angle[j], main_velocity[j], V_m, w_m)
+        advance(q_s, sub_angle[k], sub_velocity[k], sub_angle[j], sub_velocity[j], V_s, w_s)
+        out.gap += filled[k]
+        if k - first == (per - 1) // 2:
+            for i in range(4):
+                out.q_mid[i] = q_s[i]
+    k = first + per - 1
+    end_rate(main_angle[k], main_angle[max(k - 1, 0)], main_angle[max(k - 2, 0)], h, omega)
+    cross(omega, lever, swing)
+    turn(q_m, swing, levered)
+    for i in range(3):
+        out.V_m[i] = V_m[i] + levered[i] - start[i]
+        out.V_s[i] = V_s[i]
+        out.w_m[i] = w_m[i] / (per * h)
+        out.w_s[i] = w_s[i] / (per * h)
+        out.dV[i] = V_s[i] - before[i]
+        out.omega[i] = omega[i]
+    for i in range(4):
+        out.q_m[i], out.q_s[i] = q_m[i], q_s[i]
+
+
+@part
+def disturb(out, disturbance):
+    """Add the errors (6,) of a step's transmitted matching quantities to its tape."""
+    for i in range(3):
+        out.V_s[i] += disturbance[i]
+        out.w_s[i] += disturbance[3 + i]
+
+
+@kernel
+def mechanize(
+    main_angle, main_velocity, sub_angle, sub_velocity, filled, lever, h, per, disturbance, tape
+):
+    """Fill the matching quantities of a tape (K,) from increments (T, 3) of both IMUs, `per` of them a step."""
     q_m, q_s = np.array([1.0, 0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
-    V_m, V_s, w_m, w_s = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
-    before, swing, omega = np.zeros(3), np.zeros(3), np.zeros(3)
-    start, levered = np.zeros(3), np.zeros(3)
-    first, second, third = main_angle[0], main_angle[1], main_angle[2]
-    for i in range(3):
-        omega[i] = (11.0 * first[i] - 7.0 * second[i] + 2.0 * third[i]) / (6.0 * h)
-    for i in range(3):
-        n, m = (i + 1) % 3, (i + 2) % 3
-        start[i] = omega[n] * lever[m] - omega[m] * lever[n]
-    for step in range(steps):
-        out = tape[step]
-        out.gap = 0
-        out.model = 0
-        for i in range(3):
-            w_m[i], w_s[i], before[i] = 0.0, 0.0, V_s[i]
-        for k in range(step * per, (step + 1) * per):
-            j = max(k - 1, 0)
-            advance(q_m, main_angle[k], main_velocity[k], main_angle[j], main_velocity[j], V_m, w_m)
-            advance(q_s, sub_angle[k], sub_velocity[k], sub_angle[j], sub_velocity[j], V_s, w_s)
-            out.gap += filled[k]
-            if k - step * per == (per - 1) // 2:
-                for i in range(4):
-                    out.q_mid[i] = q_s[i]
-        k = (step + 1) * per - 1
-        a, b, c = main_angle[k], main_angle[max(k - 1, 0)], main_angle[max(k - 2, 0)]
-        for i in range(3):
-            omega[i] = (11.0 * a[i] - 7.0 * b[i] + 2.0 * c[i]) / (6.0 * h)
-        for i in range(3):
-            n, m = (i + 1) % 3, (i + 2) % 3
-            swing[i] = omega[n] * lever[m] - omega[m] * lever[n]
-        turn(q_m, swing, levered)
-        for i in range(3):
-            out.V_m[i] = V_m[i] + levered[i] - start[i]
-            out.V_s[i] = V_s[i]
-            out.w_m[i] = w_m[i] / (per * h)
-            out.w_s[i] = w_s[i] / (per * h)
-            out.dV[i] = V_s[i] - before[i]
-            out.omega[i] = omega[i]
-            if len(disturbance) > 0:
-                out.V_s[i] += disturbance[step, i]
-                out.w_s[i] += disturbance[step, 3 + i]
-        for i in range(4):
-            out.q_m[i], out.q_s[i] = q_m[i], q_s[i]
+    V_m, V_s, start = np.zeros(3), np.zeros(3), np.empty(3)
+    begin_lever(main_angle, lever, h, start)
+    for step in range(len(tape)):
+        mechanize_step(
+            main_angle, main_velocity, sub_angle, sub_velocity, filled, step * per, per, lever, h,
+            start, q_m, q_s, V_m, V_s, tape[step],
+        )  # fmt: skip
+        if len(disturbance) > 0:
+            disturb(tape[step], disturbance[step])

@@ -1,0 +1,99 @@
+"""Train a policy: recordings once, a learner, validation at intervals, the best one kept.
+
+A training can be stopped at any time, also by SIGKILL: the same call goes on from its last
+checkpoint, and ends with the policy that an uninterrupted one ends with, to the last bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from agents import checkpoints
+from agents.checkpoints import Checkpoint
+from agents.configuration import Configuration
+from agents.policy import Policy
+from agents.record import Mark, versions
+from navgym._atomic import replacing
+
+Report = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a training made.
+
+    Args:
+        policy: the best one on validation recordings; None where the learner remembers, so that it
+            cannot be written portably.
+        best: its validation.
+        history: every validation.
+        folder: where everything is.
+    """
+
+    policy: Policy | None
+    best: Mark
+    history: tuple[Mark, ...]
+    folder: Path
+
+
+def train(
+    config: Configuration, fresh: bool = False, report: Report = print, command: str = ""
+) -> Result:
+    """Train as `config` says, or go on with what is in its folder.
+
+    Args:
+        config: see `Configuration`; `config.folder` receives the policy, checkpoints and logs.
+        fresh: start anew, whatever the folder holds.
+        report: takes lines of progress.
+        command: that reproduces this, for the manifest.
+
+    Raises:
+        ValueError: the folder holds another training; recordings that take too much memory.
+        ModuleNotFoundError: the algorithm needs sb3-contrib.
+    """
+    from agents.trainer import Trainer
+
+    folder = config.folder
+    folder.mkdir(parents=True, exist_ok=True)
+    kept = None
+    if fresh:
+        checkpoints.clear(folder / "checkpoints")
+    else:
+        kept = _continued(config, report)
+    with replacing(folder / "config.toml", text=True) as file:
+        file.write(config.to_toml())
+    trainer = Trainer(config, report, command)
+    trainer.begin(kept)
+    trainer.run()
+    return Result(*trainer.finish(), folder)
+
+
+def _continued(config: Configuration, report: Report) -> Checkpoint | None:
+    """The checkpoint to go on from, if there is one; ValueError if it is of another training."""
+    found, problems = checkpoints.latest(config.folder / "checkpoints")
+    for problem in problems:
+        report(f"{problem}: " + ("going back to the one before" if found else "starting anew"))
+    if found is None:
+        return None
+    was, now = found.facts["configuration"], comparable(config)
+    differing = sorted(n for n in {*was, *now} if was.get(n) != now.get(n))
+    if differing:
+        name = differing[0]
+        raise ValueError(
+            f"{config.folder} holds another training, which differs in {', '.join(differing)} ("
+            f"{name} there: {was.get(name)!r}, asked for: {now.get(name)!r}): name another folder "
+            "(--out), or start anew (--fresh)."
+        )
+    before, today = found.facts["versions"], versions()
+    changed = [f"{k} {v} then, {today.get(k)} now" for k, v in before.items() if today.get(k) != v]
+    if changed:
+        report(f"the checkpoint is of other versions ({', '.join(changed)}): bits may differ")
+    return found
+
+
+def comparable(config: Configuration) -> dict[str, Any]:
+    """The configuration without what does not change the result."""
+    return replace(config, out=None, memory=1.0).as_dict()

@@ -1,0 +1,121 @@
+"""A log line by line through scripts/stream.py, and what that needs to be installed."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import navgym
+from agents.live_csv import Noise, estimates
+from agents.rollout import AUV
+from navgym.csv_log import write_csv
+from navgym.envs.auv import AUVDropoutEnv
+from navgym.simulation import find_scenario
+from tests.agents.live import some_policy
+
+
+def test_it_runs_without_torch():
+    text = (
+        "import sys, agents, agents.live_csv\n"
+        "agents.SelfTuningFilter, agents.Policy\n"
+        "heavy = {'torch', 'stable_baselines3', 'optuna', 'matplotlib'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    subprocess.run([sys.executable, "-c", text], check=True)
+
+
+class TestTheScript:
+    @staticmethod
+    def start(policy, *words):
+        command = [sys.executable, "scripts/stream.py", str(policy), *words]
+        pipe = subprocess.PIPE
+        return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
+
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def saved(tmp_path_factory):
+        scenario = find_scenario("auv/switch-D")
+        env = AUVDropoutEnv(scenario, overrides={"steps": 20}, action="residual")
+        return some_policy(env, AUV).save(tmp_path_factory.mktemp("policies") / "some")
+
+    def test_it_answers_each_line_before_the_next_one(self, saved):
+        with self.start(saved) as process:
+            process.stdin.write("time,px,py\n")
+            for k in range(4):
+                process.stdin.write(f"{k},{k},{2 * k}\n")
+                process.stdin.flush()
+                if k == 0:
+                    assert process.stdout.readline().startswith("time,px,vx,py,vy,std_px")
+                cells = process.stdout.readline().split(",")
+                assert float(cells[0]) == k
+                assert abs(float(cells[1]) - k) < 1.0
+            process.stdin.close()
+            assert process.wait() == 0
+
+    def test_it_estimates_what_the_filter_does(self, saved, tmp_path):
+        recording = navgym.simulate("auv/component-loss", seed=5, steps=60)
+        path = write_csv(recording, tmp_path / "log.csv")
+        with self.start(saved, "--velocity-noise", "1") as process:
+            out, err = process.communicate(path.read_text())
+        rows = np.genfromtxt(out.splitlines(), delimiter=",", names=True)
+        assert process.returncode == 0
+        assert rows["time"].tolist() == recording.time[-len(rows) :].tolist()
+        assert err.count("waiting for a first position") == 60 - len(rows)
+        miss = np.stack([rows["px"], rows["py"]], -1) - recording.truth[-len(rows) :, [0, 2]]
+        assert np.sqrt((miss**2).sum(axis=1).mean()) < 2.0
+
+    def test_bad_input_ends_it_with_a_message(self, saved):
+        with self.start(saved) as process:
+            out, err = process.communicate("a,b\n1,2\n")
+        assert process.returncode == 2
+        assert err.startswith("error: the first line must name the columns")
+        assert not out
+
+
+def run(policy, text):
+    """Answers to the lines of a log, and what was said beside them."""
+    said = []
+    return list(estimates(text.splitlines(), policy, Noise(), said.append)), said
+
+
+class TestLines:
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def policy():
+        env = AUVDropoutEnv(overrides={"steps": 20}, action="residual")
+        return some_policy(env, AUV)
+
+    def test_lines_that_cannot_be_read_are_left_out(self, policy):
+        log = "time,px,py\n1,1,1\n2,x,2\n2,2\n\n3,3,3\n3,9,9\n4,,4\n"
+        answers, said = run(policy, log)
+        assert [line.split(",")[0] for line in answers[1:]] == ["1", "3", "4"]
+        wanted = ("line 3, column 'px'", "line 4: 2 cells", "time must be finite and increase")
+        assert len(said) == 3
+        assert all(text in line for text, line in zip(wanted, said, strict=True))
+
+    @pytest.mark.parametrize(
+        ("header", "message"),
+        [
+            ("time,px,foo", "unknown column 'foo'"),
+            ("time,px,px", "same name"),
+            ("time,lost", "no measurement column"),
+            ("", "got nothing"),
+        ],
+    )
+    def test_headers_without_meaning_are_refused(self, policy, header, message):
+        with pytest.raises(ValueError, match=message):
+            run(policy, header)
+
+    def test_fall_backs_are_announced_once_and_so_is_their_end(self, policy):
+        rng = np.random.default_rng(0)
+        noise = np.where((np.arange(200) >= 60) & (np.arange(200) < 80), 30.0, 1.0)
+        rows = [f"{k},{2 * k + noise[k] * rng.normal()},{k + rng.normal()}" for k in range(200)]
+        answers, said = run(policy, "\n".join(["time,px,py", *rows]))
+        fallen = [line.endswith(",1") for line in answers[1:]]
+        changes = [k for k in range(1, 200) if fallen[k] != fallen[k - 1]]
+        assert fallen[75]
+        assert len(said) == len(changes)
+        for k, line in zip(changes, said, strict=True):
+            assert line.startswith(f"time {k}: ")
+            assert ("fell back" in line) == fallen[k]

@@ -1,0 +1,106 @@
+"""Recordings to train on: their seeds, their conditions, their memory."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+pytest.importorskip("tyro")
+pytest.importorskip("tomli_w")
+
+from agents.material import material, recording
+from agents.randomisation import AUVRanges, DeckRanges, drawn
+from agents.validation import Validation
+from navgym.scenarios import seeds
+from navgym.simulation import find_scenario
+from tests.agents.small import tiny
+
+
+def test_training_recordings_are_of_the_training_split_and_of_the_seed_alone(tmp_path):
+    env = material(tiny(tmp_path)).env
+    numbers = [label["seed"] for label in env.engine.shelf.labels]
+    assert numbers == list(seeds("train", 6, start=18))
+    validation = Validation(tiny(tmp_path)).arenas[0].engine
+    chosen = [label["seed"] for label in validation.shelf.labels]
+    assert chosen == list(seeds("validation", 5))
+
+
+def test_scenarios_of_a_mixture_take_turns(tmp_path):
+    config = tiny(tmp_path, scenarios=("auv/switch-D", "auv/heavy"))
+    names = [recording(config, i, i).meta["scenario"] for i in range(4)]
+    assert names == ["auv/switch-D", "auv/heavy"] * 2
+    arenas = Validation(config).arenas
+    assert [arena.name for arena in arenas] == ["auv/switch-D", "auv/heavy"]
+
+
+def test_too_many_recordings_are_refused_with_what_would_fit(tmp_path):
+    with pytest.raises(ValueError, match=r"pool=6 recordings take .* GB.*set pool=\d, or memory="):
+        material(tiny(tmp_path, memory=1e-4))
+
+
+def test_lanes_do_not_end_together(tmp_path):
+    env = material(tiny(tmp_path)).env
+    env.reset()
+    assert len(set(env.engine.stations["k"].tolist())) > 4
+
+
+class TestRandomisation:
+    def test_conditions_depend_on_the_seed_alone_and_cover_the_ranges(self):
+        scenario, ranges = find_scenario("auv/switch-D"), AUVRanges()
+        found = [drawn(scenario, ranges, seed) for seed in range(300)]
+        assert found[7] == drawn(scenario, ranges, 7)
+        scales = np.array([s.measurement_scale for s in found])
+        assert 0.3 < (scales == 1.0).mean() < 0.7
+        assert scales.min() < 0.3
+        assert scales.max() > 15.0
+        assert (scales >= ranges.measurement_scale[0]).all()
+        assert (scales <= ranges.measurement_scale[1]).all()
+        rates = [s.loss.rate for s in found]
+        assert max(rates) > 0.7
+        assert 0.3 < np.mean(np.array(rates) == 0.0) < 0.7
+
+    def test_chance_nought_leaves_a_scenario_alone(self):
+        scenario = find_scenario("auv/switch-B")
+        assert drawn(scenario, AUVRanges(chance=0.0), 3) == scenario
+
+    def test_deck_conditions(self):
+        scenario, ranges = find_scenario("deck/switch-60"), DeckRanges(chance=1.0, gyro_only=1.0)
+        found = drawn(scenario, ranges, 1)
+        glitch = next(r for r in found.regimes if r.name == "glitch")
+        assert glitch.glitch_velocity == 0.0
+        assert 0.03 <= glitch.glitch_rate <= 0.2
+        assert found.lever_error != scenario.lever_error
+        assert found.dwell[0] <= found.dwell[1]
+        calm = next(r for r in found.regimes if r.name == "calm")
+        assert calm == scenario.regimes[0]
+
+    def test_ranges_of_the_other_kind_are_refused(self):
+        with pytest.raises(TypeError, match="DeckRanges are no conditions of switch-D"):
+            drawn(find_scenario("auv/switch-D"), DeckRanges(), 0)
+
+    def test_a_drawn_recording_is_the_same_in_any_pool(self, tmp_path):
+        config = tiny(tmp_path, randomise=True, reward="relative")
+        one, other = recording(config, 0, 5), recording(config, 3, 5)
+        np.testing.assert_array_equal(one.measurements, other.measurements)
+
+    def test_validation_has_a_set_of_drawn_conditions(self, tmp_path):
+        config = tiny(tmp_path, randomise=True, reward="relative")
+        arenas = Validation(config).arenas
+        assert [arena.name for arena in arenas] == ["auv/switch-D", "randomised"]
+
+
+def test_the_relative_reward_is_the_difference_in_units_of_the_oracle(tmp_path):
+    plain = material(tiny(tmp_path, reward="difference")).env
+    relative = material(tiny(tmp_path, reward="relative")).env
+    for env in (plain, relative):
+        env.seed(0)
+        env.reset()
+    action = np.full((8, 3), 0.5, dtype=np.float32)
+    rewards = [env.step(action)[1] for env in (plain, relative)]
+    variances = []
+    for which in plain.engine.stations["which"]:
+        oracle = relative.engine.shelf.tapes["oracle_variance"][which]
+        variances.append(oracle.mean())
+    inside = (np.abs(rewards[0]) < 20.0) & (np.abs(rewards[1]) < 20.0)
+    assert inside.sum() >= 4
+    ratio = (rewards[0] / np.array(variances, dtype=np.float32))[inside]
+    np.testing.assert_allclose(rewards[1][inside], ratio, rtol=1e-5)
