@@ -2,6 +2,7 @@
 
     python scripts/benchmark.py auv             print the table
     python scripts/benchmark.py deck
+    python scripts/benchmark.py studies         what Optuna and its storage cost
     python scripts/benchmark.py deck --write    also write docs/benchmarks-deck.md
 
 Machines are noisy, so each pair is run in turns, and the median of the ratios is what counts. The
@@ -14,7 +15,7 @@ import argparse
 from pathlib import Path
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-TITLES = {"auv": "the AUV half", "deck": "the deck half"}
+TITLES = {"auv": "the AUV half", "deck": "the deck half", "studies": "studies"}
 
 
 def main() -> None:
@@ -22,14 +23,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("half", choices=list(TITLES), help="which half of navgym to measure")
+    parser.add_argument("half", choices=list(TITLES), help="what to measure")
     parser.add_argument("--rounds", type=int, default=7, help="turns per pair (default: 7)")
     parser.add_argument("--write", action="store_true", help="write docs/benchmarks-HALF.md")
     options = parser.parse_args()
-    from tuning.benchmarks import auv, deck
+    from tuning.benchmarks import auv, deck, studies
     from tuning.benchmarks.timing import as_markdown
 
-    rows = (auv.auv if options.half == "auv" else deck.deck)(options.rounds)
+    parts = {"auv": auv.auv, "deck": deck.deck, "studies": studies.studies}
+    rows = parts[options.half](options.rounds)
     text = as_markdown(options.half, TITLES[options.half], rows)
     print(text)
     if options.write:
