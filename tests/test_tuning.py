@@ -231,34 +231,6 @@ def test_a_killed_study_goes_on(tmp_path):
     assert results(run(goal, 8, journal)) == results(run(goal, 8))
 
 
-def test_a_line_cut_short_is_dropped(goal, tmp_path):
-    journal = tmp_path / "study.log"
-    first = run(goal, 4, journal)
-    with journal.open("ab") as file:
-        file.write(b'{"op_code": 4, "worker')
-    assert results(run(goal, 6, journal))[:4] == results(first)
-    assert results(run(goal, 6, journal)) == results(run(goal, 6))
-
-
-@pytest.mark.parametrize("damage", [b"\x00\x01garbage\n", b"[1, 2]\n", b'{"op_code": 3, "a\n'])
-def test_a_damaged_journal_is_refused_with_its_line(goal, tmp_path, damage):
-    journal = tmp_path / "study.log"
-    run(goal, 3, journal)
-    lines = journal.read_bytes().splitlines(keepends=True)
-    lines[4] = damage
-    journal.write_bytes(b"".join(lines))
-    with pytest.raises(ValueError, match=r"damaged at line 5: .*Move the file away"):
-        run(goal, 4, journal)
-    assert journal.read_bytes() == b"".join(lines)
-
-
-def test_a_file_that_is_no_journal_is_refused(goal, tmp_path):
-    journal = tmp_path / "study.log"
-    journal.write_text('{"op_code": 99}\n')
-    with pytest.raises(ValueError, match="no Optuna journal"):
-        run(goal, 2, journal)
-
-
 def test_a_study_of_another_goal_is_refused_naming_both(goal, cases, tmp_path):
     journal = tmp_path / "study.log"
     run(goal, 2, journal)

@@ -190,10 +190,9 @@ def rows_of(
     ends: tuple[str, str],
     measure: Measure,
     half: str,
+    yardstick: str = "",
 ) -> tuple[Row, ...]:
     """A row per entry from errors and flags (N,) that are already there, by label.
-
-    Divergence is judged against the oracle, or else the plain filter.
 
     Args:
         entries: contenders with distinct labels.
@@ -203,17 +202,19 @@ def rows_of(
         ends: labels of the filters that score 0 and 1.
         measure: what the errors are.
         half: "auv" or "deck".
+        yardstick: label that divergence is judged by; the filter that scores 1 by default, or else
+            the one that scores 0.
     """
     plain, oracle = ends
-    yardstick = errors.get(oracle, errors.get(plain))
+    limit = errors.get(yardstick or oracle, errors.get(plain))
     scored = measure.needs_truth  # a likelihood has no zero to score from
     means = [float(errors[x].mean()) if scored and x in errors else math.nan for x in ends]
     rows = []
     for entry in entries:
         each = errors[entry.label]
         lost = flags[entry.label] | ~np.isfinite(each)
-        if yardstick is not None:
-            lost = lost | (each > measure.ceiling(yardstick))
+        if limit is not None:
+            lost = lost | (each > measure.ceiling(limit))
         rows.append(
             _row(entry, each, float(lost.mean()), errors[reference], (means[0], means[1]), half)
         )

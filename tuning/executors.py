@@ -6,11 +6,16 @@ import contextlib
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor
+from multiprocessing.connection import Connection
 from typing import Any
 
 from navgym._checks import positive_int
+
+THREADS = "OMP_NUM_THREADS"
+PATIENCE = 10  # s for a scheduler to answer
 
 
 @contextlib.contextmanager
@@ -24,7 +29,7 @@ def workers(count: int, scheduler: str | None = None) -> Iterator[Executor | Non
 
     Raises:
         ValueError: no worker.
-        OSError: the scheduler does not answer.
+        OSError: the scheduler does not answer; workers died.
         ImportError: a scheduler without dask.distributed.
     """
     positive_int("workers", count)
@@ -40,33 +45,77 @@ def workers(count: int, scheduler: str | None = None) -> Iterator[Executor | Non
 
 @contextlib.contextmanager
 def _processes(count: int) -> Iterator[Executor]:
-    # spawned: a forked worker keeps the parent's ends of its pipes, and would outlive its death
+    # spawned: kernels' threads and database connections do not survive a fork
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(count, context, initializer=_prepare)
+    theirs, ours = context.Pipe(duplex=False)
+    pool = ProcessPoolExecutor(count, context, _prepare, (theirs,))
+    with _held_interrupts(), _one_thread():
+        for _ in range(count):  # each submission starts a process
+            pool.submit(os.getpid)
     try:
         yield pool
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        raise
-    pool.shutdown()
+        pool.shutdown()
+    except BrokenExecutor as error:
+        raise OSError(
+            "a worker process died, killed or out of memory: give the same command again, with "
+            "fewer --workers if memory was short. Finished trials are safe."
+        ) from error
+    finally:
+        ours.close()  # whoever is still at work ends at once
+        pool.shutdown(cancel_futures=True)
+        theirs.close()
 
 
-def _prepare() -> None:
-    """A worker leaves Ctrl-C to its parent, which waits for the trials at hand."""
+@contextlib.contextmanager
+def _held_interrupts() -> Iterator[None]:
+    """Ctrl-C comes after the block; processes that are started in it do not see any (`_prepare`)."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
+def _one_thread() -> Iterator[None]:
+    """Processes that are started in the block give linear algebra one thread each."""
+    given = os.environ.get(THREADS)
+    os.environ.setdefault(THREADS, "1")
+    try:
+        yield
+    finally:
+        if given is None:
+            del os.environ[THREADS]
+
+
+def _prepare(lifeline: Connection) -> None:
+    """A worker leaves Ctrl-C to its parent, which waits for the trials at hand, and dies with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    threading.Thread(target=_follow, args=(lifeline,), daemon=True).start()
+
+
+def _follow(lifeline: Connection) -> None:
+    """End this process when the parent's end of the pipe closes, by its death if not before.
+
+    The pool's own queue would stay open: every worker holds an end of it.
+    """
+    lifeline.poll(None)
+    os._exit(1)
 
 
 @contextlib.contextmanager
 def _cluster(scheduler: str) -> Iterator[Executor]:
     try:
-        from distributed import Client
+        from distributed import Client, KilledWorker
     except ImportError as error:
         raise ImportError(
             "--scheduler needs dask.distributed: pip install 'navgym[cluster]'."
         ) from error
     try:
-        client: Any = Client(scheduler, timeout=10)  # type: ignore[no-untyped-call]
+        client: Any = Client(scheduler, timeout=PATIENCE)  # type: ignore[no-untyped-call]
     except (OSError, TimeoutError, ValueError) as error:
         raise OSError(
             f"the dask scheduler at {scheduler} does not answer ({error}): start it with "
@@ -74,4 +123,11 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
         ) from error
     with client:
         # pure=False: an evaluation may cost time that is measured, so none is answered from memory
-        yield client.get_executor(pure=False)
+        try:
+            yield client.get_executor(pure=False)
+        except (KilledWorker, CancelledError) as error:
+            raise OSError(
+                f"the cluster at {scheduler} lost its workers or its scheduler "
+                f"({str(error) or type(error).__name__}): see what "
+                "they say, and give the same command again. Finished trials are safe."
+            ) from error

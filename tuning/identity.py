@@ -47,8 +47,10 @@ def open_study(
         directions=[down] * (2 if getattr(goal, "costed", False) else 1),
         load_if_exists=True,
     )
+    # trials first: whoever made them has said before what they are for
+    begun = bool(study.get_trials(deepcopy=False))
     found = study.user_attrs.get(GOAL)
-    if found is None and not study.get_trials(deepcopy=False):
+    if found is None and not begun:
         study.set_user_attr(GOAL, purpose)
     elif found != purpose:
         remedy = (

@@ -98,8 +98,9 @@ def hopeless(leader: Leader, seen: Order, losses: Array) -> bool:
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
         pruner = optuna.pruners.WilcoxonPruner(p_threshold=P_VALUE)
         judge = optuna.create_study()
-        values = dict(enumerate(leader.losses.tolist()))
-        judge.add_trial(_trial(values, leader.value))
+        # the same instances of both: the pruner compares means too, and easy ones would flatter
+        best = dict(zip(seen.tolist(), leader.losses[seen].tolist(), strict=True))
+        judge.add_trial(_trial(best, leader.value))
         rival = dict(zip(seen.tolist(), losses.tolist(), strict=True))
         return pruner.prune(judge, _trial(rival, None))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import importlib.util
 import warnings
 from collections.abc import Mapping
@@ -15,6 +16,7 @@ from optuna.distributions import (
     FloatDistribution,
     IntDistribution,
 )
+from optuna.trial import FrozenTrial
 
 from navgym._checks import one_of
 from navgym.parameters import Parameter, ParameterSpace
@@ -76,7 +78,7 @@ def sampler_of(name: str, seed: int, count: int) -> optuna.samplers.BaseSampler:
     if name == "nsga-ii":
         return optuna.samplers.NSGAIISampler(seed=words, population_size=POPULATION)
     if name == "cma-es":
-        return optuna.samplers.CmaEsSampler(
+        return _CovarianceSampler(
             seed=words, n_startup_trials=STARTUP_TRIALS, warn_independent_sampling=False
         )
     if name == "gp":
@@ -84,6 +86,18 @@ def sampler_of(name: str, seed: int, count: int) -> optuna.samplers.BaseSampler:
     return optuna.samplers.TPESampler(
         seed=words, multivariate=True, n_startup_trials=STARTUP_TRIALS
     )
+
+
+class _CovarianceSampler(optuna.samplers.CmaEsSampler):
+    """CMA-ES whose draws do not depend on a trial's number, which a kill may have moved on by one."""
+
+    def sample_relative(
+        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
+    ) -> dict[str, Any]:
+        """Optuna adds the number to the seed."""
+        alike = copy.copy(trial)
+        alike.number = 0
+        return super().sample_relative(study, alike, search_space)
 
 
 def _gaussian_process(seed: int) -> optuna.samplers.BaseSampler:

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import importlib.util
 import json
 import os
+import re
 import threading
+import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import optuna
+from optuna.exceptions import UpdateFinishedTrialError
 from optuna.storages import BaseStorage, InMemoryStorage, JournalStorage, RDBStorage
 from optuna.storages.journal import JournalFileBackend
+from optuna.trial import FrozenTrial, TrialState
 
 Where = Path | str | None
 
@@ -36,8 +41,8 @@ def shown(where: Where) -> str:
 
     try:
         return make_url(str(where)).render_as_string(hide_password=True)
-    except Exception:
-        return str(where)
+    except Exception:  # no URL, but it may hold a password all the same
+        return re.sub(r"://.*@", "://***@", str(where))
 
 
 @contextlib.contextmanager
@@ -59,7 +64,11 @@ def opened(where: Where, heartbeat: int = HEARTBEAT, grace: int = GRACE) -> Iter
     if where is None:
         yield InMemoryStorage()
     elif is_url(where):
-        yield _database(str(where), heartbeat, grace)
+        storage = _database(str(where), heartbeat, grace)
+        try:
+            yield storage
+        finally:
+            storage.engine.dispose()
     else:
         journal = Path(where)
         with _alone(journal):
@@ -70,27 +79,50 @@ def opened(where: Where, heartbeat: int = HEARTBEAT, grace: int = GRACE) -> Iter
 
 
 def _database(url: str, heartbeat: int, grace: int) -> RDBStorage:
+    from sqlalchemy.engine import make_url
     from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-            return RDBStorage(
-                _with_driver(url),
-                engine_kwargs={"pool_pre_ping": True},  # a server may have been restarted
-                heartbeat_interval=heartbeat,
-                grace_period=grace,
-                heartbeat_stale_trial_callback=retry(),
-            )
+        make_url(url)
+    except (ArgumentError, ValueError) as error:  # the latter for a port that is no number
+        raise ValueError(
+            f"storage {shown(url)!r} is no database URL: write it like postgresql://user@host/name."
+        ) from error
+    try:
+        return _connected(_with_driver(url), heartbeat, grace)
     except ImportError as error:
         raise ValueError(
             f"storage {shown(url)} needs a driver that is not installed ({error}): for PostgreSQL "
             "pip install 'psycopg[binary]'."
         ) from error
     except ArgumentError as error:
-        raise ValueError(f"storage {shown(url)!r} is no database URL: {error}.") from error
+        raise ValueError(f"storage {shown(url)!r} is of an unknown kind: {error}.") from error
     except SQLAlchemyError as error:
         raise unreachable(url, error) from error
+
+
+def _connected(url: str, heartbeat: int, grace: int) -> RDBStorage:
+    """Optuna's storage, its tables made if they are missing."""
+    from sqlalchemy.exc import IntegrityError, OperationalError, ProgrammingError
+
+    def connect() -> RDBStorage:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+            return RDBStorage(
+                url,
+                engine_kwargs={"pool_pre_ping": True},  # a server may have been restarted
+                heartbeat_interval=heartbeat,
+                grace_period=grace,
+                heartbeat_stale_trial_callback=retry(),
+            )
+
+    try:
+        return connect()
+    except (IntegrityError, OperationalError, ProgrammingError) as error:
+        if "already exists" not in str(error):
+            raise
+        time.sleep(1.0)  # another worker was making the tables at the same moment
+        return connect()
 
 
 def unreachable(where: Where, error: BaseException) -> OSError:
@@ -111,11 +143,37 @@ def _with_driver(url: str) -> str:
     return url
 
 
-def retry() -> Any:
-    """What puts the trial of a dead worker back in line."""
+def retry() -> Callable[[optuna.Study, FrozenTrial], None]:
+    """What puts the parameters of a dead worker's trial back in line, a few times at most."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-        return optuna.storages.RetryHeartbeatStaleTrialCallback(max_retry=RETRIES)
+        enqueue = optuna.storages.RetryHeartbeatStaleTrialCallback(max_retry=RETRIES)
+
+    def again(study: optuna.Study, trial: FrozenTrial) -> None:
+        fresh = copy.deepcopy(trial)
+        fresh.user_attrs = {}  # who worked on it, and half of what was found, are the dead one's
+        enqueue(study, fresh)
+
+    return again
+
+
+def try_again(study: optuna.Study, trial: FrozenTrial) -> None:
+    """Fail a running trial and put its parameters back in line, unless others have done so."""
+    with contextlib.suppress(UpdateFinishedTrialError):
+        study._storage.set_trial_state_values(trial._trial_id, TrialState.FAIL)
+        retry()(study, trial)
+
+
+def put_back(study: optuna.Study, trial: FrozenTrial, names: Sequence[str]) -> None:
+    """Let a study that nobody else works on continue as if a running trial had not begun.
+
+    The trial keeps its number and its place in line, so that the study goes on like one that was never
+    stopped. If it was cut short before all its parameters (`names`) were drawn it is dropped: the next
+    one is drawn in its place, in the same way.
+    """
+    whole = "fixed_params" in trial.system_attrs or set(names) <= trial.params.keys()
+    state = TrialState.WAITING if whole else TrialState.FAIL
+    study._storage.set_trial_state_values(trial._trial_id, state)
 
 
 def record_life(storage: BaseStorage, trial_id: int) -> None:
@@ -178,6 +236,42 @@ def _alone(journal: Path) -> Iterator[None]:
         yield
 
 
+class _Lines(JournalFileBackend):
+    """Optuna's journal file for the process that holds it: entries are written whole or not at all.
+
+    Optuna waits for the disk at each entry, some ten per trial. Here only changes of a trial's state
+    wait: a kill loses nothing that was written, and a power cut no finished trial.
+    """
+
+    def append_logs(self, logs: list[dict[str, Any]]) -> None:
+        """Write entries at the end; OSError if the disk is full or the file is gone."""
+        text = "".join(json.dumps(log, separators=(",", ":")) + "\n" for log in logs)
+        try:
+            self._lock.acquire()  # a dashboard may write its notes
+            try:
+                self._append(text.encode(), wait=any("state" in log for log in logs))
+            finally:
+                self._lock.release()
+        except OSError as error:
+            raise OSError(
+                f"{self._file_path} cannot be written ({error.strerror}): make room, and give the "
+                "same command again. Finished trials are safe."
+            ) from error
+
+    def _append(self, text: bytes, wait: bool) -> None:
+        journal = Path(self._file_path)
+        size = journal.stat().st_size
+        try:
+            with journal.open("ab") as file:
+                file.write(text)
+                file.flush()
+                if wait:
+                    os.fsync(file.fileno())
+        except OSError:
+            os.truncate(journal, size)  # half an entry would spoil the next one
+            raise
+
+
 def _journal(journal: Path) -> JournalStorage:
     """The journal file as Optuna's storage, its damaged last line cut off.
 
@@ -186,7 +280,7 @@ def _journal(journal: Path) -> JournalStorage:
     _check(journal)
     try:
         # absolute: Optuna's lock is a link that is resolved from its own folder
-        return JournalStorage(JournalFileBackend(str(journal.resolve())))
+        return JournalStorage(_Lines(str(journal.resolve())))
     except (ValueError, KeyError, TypeError, AssertionError, AttributeError) as error:
         raise ValueError(
             f"{journal} is no Optuna journal ({type(error).__name__}: {error}): name another file."

@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 import optuna
+from optuna.exceptions import UpdateFinishedTrialError
 from optuna.storages import BaseStorage
 from optuna.trial import FrozenTrial, TrialState
 from tqdm import tqdm
@@ -42,9 +43,10 @@ from tuning.storage import (
     Where,
     is_url,
     opened,
+    put_back,
     record_life,
-    retry,
     signs_of_life,
+    try_again,
     unreachable,
 )
 
@@ -226,6 +228,7 @@ class _Run:
     executor: Executor | None
     shared: bool  # whether others may work on the study at the same time
     leader: racing.Leader | None = None  # whom the batch at hand is held against
+    looked: float = -math.inf  # when others' signs of life were last looked at
 
     def enqueue(self, first: Sequence[Mapping[str, Any]]) -> None:
         """Put the defaults and `first` in line, and what a process that died left behind."""
@@ -268,23 +271,40 @@ class _Run:
 
     def _ask(self) -> list[optuna.Trial]:
         """The next trials of this process: fewer than a batch near the end, none if all are taken."""
-        done = len(self._of(TrialState.COMPLETE))
-        taken = done + len(self._of(TrialState.RUNNING))
+        begun = self._of(TrialState.COMPLETE, TrialState.RUNNING)
+        taken, done = len(begun), sum(t.state == TrialState.COMPLETE for t in begun)
         # alone, a batch that was interrupted is completed before the next one begins
         size = self.how.batch if self.shared else self.how.batch - done % self.how.batch
         asked = []
         for i in range(max(0, min(size, self.how.trials - taken))):
-            self.study.sampler = sampler_of(self.how.sampler, self.how.seed, done + i)
-            trial = self.study.ask(distributions(self.goal.space))
-            if self.shared:
-                # without it no one would notice our death
-                record_life(self.storage, trial._trial_id)
-                trial.set_user_attr(WORKER, f"{platform.node()}:{os.getpid()}")
-                if self._surplus(trial.number):
-                    self.study.tell(trial, state=TrialState.FAIL)
-                    continue
-            asked.append(trial)
+            trial = self._next(done + i)
+            if not self.shared or self._claim(trial):
+                asked.append(trial)
         return asked
+
+    def _next(self, place: int) -> optuna.Trial:
+        """The trial at the head of the line, or a new one; `place`: trials before it."""
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Heartbeat of storage")  # we see to it ourselves
+            trial = self.study.ask()
+        # processes that ask at the same moment must not draw the same: their numbers differ
+        count = trial.number if self.shared else place
+        self.study.sampler = sampler_of(self.how.sampler, self.how.seed, count)
+        for name, distribution in distributions(self.goal.space).items():
+            trial._suggest(name, distribution)
+        return trial
+
+    def _claim(self, trial: optuna.Trial) -> bool:
+        """Let others know who works on a trial; False if it is not needed, or taken from us."""
+        try:
+            record_life(self.storage, trial._trial_id)  # or no one would notice our death
+            trial.set_user_attr(WORKER, f"{platform.node()}:{os.getpid()}")
+        except UpdateFinishedTrialError:
+            return False
+        if self._surplus(trial.number):
+            self.study.tell(trial, state=TrialState.FAIL, skip_if_finished=True)
+            return False
+        return True
 
     def _surplus(self, number: int) -> bool:
         """Whether others took the last places while this trial was asked for."""
@@ -334,15 +354,15 @@ class _Run:
     # ---- telling
 
     def _tell(self, trial: optuna.Trial, found: Any, seen: Any) -> None:
-        if isinstance(found, Evaluation):
-            for name, value in found.constraints.items():
-                trial.set_constraint(name, value)
-            value = self._statistic(trial, found, seen)
-            costed = getattr(self.goal, "costed", False)
-            found = (value, found.microseconds) if costed else value
-        with contextlib.suppress(optuna.exceptions.UpdateFinishedTrialError):
-            # another process took us for dead and tries this trial again: its word counts
-            self.study.tell(trial, found)
+        with contextlib.suppress(UpdateFinishedTrialError):
+            # another process may have taken us for dead and tried this trial again: its word counts
+            if isinstance(found, Evaluation):
+                for name, value in found.constraints.items():
+                    trial.set_constraint(name, value)
+                value = self._statistic(trial, found, seen)
+                costed = getattr(self.goal, "costed", False)
+                found = (value, found.microseconds) if costed else value
+            self.study.tell(trial, found, skip_if_finished=True)
 
     def _statistic(self, trial: optuna.Trial, found: Evaluation, seen: Any) -> float:
         """The goal's metric; for a trial that was given up, what it would have come to."""
@@ -368,12 +388,17 @@ class _Run:
     # ---- workers that died
 
     def _again(self, trial: FrozenTrial) -> None:
-        """Mark a trial as failed and put its parameters back in line."""
-        self.study.tell(trial.number, state=TrialState.FAIL)
-        retry()(self.study, trial)
+        """Put a trial that was begun back in line."""
+        if self.shared:
+            try_again(self.study, trial)
+        else:
+            put_back(self.study, trial, list(distributions(self.goal.space)))
 
     def _reclaim(self) -> None:
-        """Put back in line what silent workers hold."""
+        """Put back in line what silent workers hold, if it is time to look again."""
+        if time.monotonic() - self.looked < self.how.heartbeat:
+            return
+        self.looked = time.monotonic()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
             optuna.storages.fail_stale_trials(self.study)
@@ -381,8 +406,7 @@ class _Run:
         for t in self._of(TrialState.RUNNING):
             # killed between asking and its first sign of life, which Optuna never takes for dead
             if WORKER not in t.user_attrs and t.datetime_start and t.datetime_start < late:
-                with contextlib.suppress(optuna.exceptions.UpdateFinishedTrialError):
-                    self._again(t)
+                self._again(t)
 
     # ---- reading
 
@@ -395,6 +419,8 @@ class _Run:
 
     def show(self, bar: Any) -> None:
         """Move the progress bar to where the study stands."""
+        if bar.disable:
+            return
         found = self._of(TrialState.COMPLETE)
         bar.n = len(found)
         values = [t.values[0] for t in found if GIVEN_UP not in t.user_attrs and _feasible(t)]

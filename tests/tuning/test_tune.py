@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import navgym
+from navgym.csv_log import write_csv
 from tuning import tune, tune_report
 from tuning.cases import Cases
 from tuning.headroom import FIXED, TABLE, Size, headroom
@@ -106,7 +107,7 @@ def test_a_log_without_truth_is_tuned_by_likelihood(tmp_path):
     recording = navgym.simulate("auv/mismatch", seed=3, steps=300)
     blind = navgym.Recording(recording.time, recording.measurements, model=recording.model)
     log = tmp_path / "log.csv"
-    navgym.csv_log.write_csv(blind, log)
+    write_csv(blind, log)
     made = tune.run(small(tmp_path / "out", filter="kf", log=(log,), trials=20))
     assert made.reports["logs"].measure.name == "likelihood"
     # the reader believes white acceleration of its own; a better fit to the motion is more likely
