@@ -56,6 +56,7 @@ class AUVWorld(World):
     environment, half = AUV, "auv"
     quantities = everywhere = ("rmse",)
     plain, top = PLAIN[AUV], "oracle"
+    yardstick = top
     chunk = 100
     _on_tracks: list[Any] | None = None
 
@@ -99,7 +100,7 @@ class AUVWorld(World):
         found.append(Contender(Entry(DEFAULT, "qivbf")))
         found.append(choosing(HAND_RULE, hand_rule(AUV), cases))
         found += [Contender(e) for e in self._fixed(condition, cases)]
-        found += self.learners(cases)
+        found += self.learners(condition, cases)
         found += [self._table(condition, cases)] if has_table(condition.scenario) else []
         oracle = [whole.pop("oracle")] if "oracle" in whole else []
         combined = [Contender(Entry(k, "bank"), runs=c) for k, c in self.combiners.items()]

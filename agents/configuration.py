@@ -275,11 +275,12 @@ PRESETS: Mapping[str, tuple[str, Configuration]] = MappingProxyType(
             Configuration(randomise=True, reward="relative", pool=1500, decisions=2_000_000),
         ),
         "deck": (
-            "kernel width of the deck filter, once a second; what agents/pretrained holds",
+            "kernel width of the deck filter, twice a second; what agents/pretrained holds",
             Configuration(
-                environment=DECK, scenarios=("deck/switch-60",), reward="composite",
-                action_parameters=("kernel_width",), decision_interval=20, decisions=250_000,
-                pool=64, validation=16, interval=30_000,
+                environment=DECK, scenarios=("deck/switch-60", "deck/switch-gyro"),
+                reward="composite", action_parameters=("kernel_width",), decision_interval=10,
+                decisions=300_000, recipe=Recipe(gamma=0.95), pool=64, validation=16,
+                interval=50_000,
             ),
         ),
     }

@@ -23,6 +23,7 @@ from tuning.comparison import Comparison, Entry
 OWN, SHIFT, OTHER, REAL = "own", "shift", "other", "real"
 BEST_FIXED, DEFAULT, HAND_RULE = "best fixed", "default", "hand rule"
 FALLBACK = "{} + fallback"
+AS_TRAINED = "as trained"  # an own condition again, on fewer recordings, with the fallback
 LATENCY_CALLS = 300  # single observations that a policy is timed on
 
 
@@ -55,14 +56,15 @@ class Size:
     Args:
         auv: recordings per AUV condition.
         deck: per deck condition that a policy was trained for.
-        deck_other: per other deck condition; a recording takes seconds.
+        deck_other: per other deck condition, where policies run with their fallback too: a
+            recording then takes seconds.
         draws: noise and loss seeds per real track.
         quick: whether only a few conditions are run, shortened.
     """
 
     auv: int = 300
     deck: int = 200
-    deck_other: int = 40
+    deck_other: int = 30
     draws: int = 10
     quick: bool = False
 
@@ -141,6 +143,7 @@ class World:
     everywhere: tuple[str, ...]  # those that are computed in conditions that are nobody's own too
     plain: str  # label that scores 0
     top: str  # label that scores 1
+    yardstick: str  # label that divergence is judged by
     chunk: int  # recordings at a time
 
     def __init__(
@@ -221,12 +224,16 @@ class World:
             if self._row(label) != row
         }
 
-    def learners(self, cases: Any) -> list[Contender]:
+    def streams(self, condition: Condition) -> bool:  # noqa: ARG002
+        """Whether policies run with their fallback in a condition."""
+        return self.fallback
+
+    def learners(self, condition: Condition, cases: Any) -> list[Contender]:
         """The policies, each followed by itself with its fallback."""
         found = []
         for label, policy in self.policies.items():
             found.append(choosing(label, Learnt(policy), cases))
-            if self.fallback:
+            if self.streams(condition):
                 found.append(_deployed(label, policy, cases))
         return found
 

@@ -148,7 +148,7 @@ def _compared(
     spent = {k: 1e6 * sum(t.spent for t in ts) / samples + ts[0].latency for k, ts in each.items()}
     entries = [ts[0].entry for ts in each.values()]
     ends = (world.plain, world.top)
-    rows = rows_of(entries, errors, flags, BEST_FIXED, ends, measure, world.half)
+    rows = rows_of(entries, errors, flags, BEST_FIXED, ends, measure, world.half, world.yardstick)
     squared = {}
     if name == world.quantities[0]:
         kept = {k: [t.seconds for t in ts if t.seconds is not None] for k, ts in each.items()}

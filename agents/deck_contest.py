@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from agents.baselines import PLAIN, Random, TrueRegime, hand_rule, has_table, whole_filters
 from agents.contest import (
+    AS_TRAINED,
     BEST_FIXED,
     DEFAULT,
     HAND_RULE,
@@ -77,6 +78,8 @@ class DeckWorld(World):
     quantities = ("theta_rate", "theta_ac", "theta", "attitude")
     everywhere = quantities[:3]  # the attitude takes as long as the filters
     plain, top = PLAIN[DECK], TABLE
+    # the bound knows the regime from the first step on, everybody else may begin badly in a glitch
+    yardstick = plain
     chunk = 10
 
     def count(self, condition: Condition) -> int:
@@ -89,15 +92,21 @@ class DeckWorld(World):
         more = QUICK if quick else {}
         found = [replace(own, overrides={**own.overrides, **more}) for own in self.own]
         for own in list(found):
-            changes = shifts(find_scenario(own.scenario, **own.overrides))
-            names = list(changes)[:1] if quick else list(changes)
+            changes: dict[str, Any] = {AS_TRAINED: {}} if self.fallback else {}
+            if own is found[0]:  # one scenario's shifts tell enough of the others'
+                more_changes = shifts(find_scenario(own.scenario, **own.overrides))
+                changes |= dict(list(more_changes.items())[: 1 if quick else None])
             found += [
-                Condition(n, own.scenario, {**own.overrides, **changes[n]}, SHIFT, own.name)
-                for n in names
+                Condition(n, own.scenario, {**own.overrides, **c}, SHIFT, own.name)
+                for n, c in changes.items()
             ]
         others = [s for s in OTHERS if s not in {own.scenario for own in self.own}]
         chosen = others[-1:] if quick else others
         return found + [Condition(short(s), s, dict(more), OTHER) for s in chosen]
+
+    def streams(self, condition: Condition) -> bool:
+        """Whether policies run with their fallback: not where it would take half an hour."""
+        return self.fallback and condition.kind != OWN
 
     def cases(self, condition: Condition, start: int, count: int) -> DeckCases:
         """Test recordings."""
@@ -113,7 +122,7 @@ class DeckWorld(World):
         found.append(Contender(Entry(DEFAULT, "alignment_mcc")))
         found += self._fixed(condition)
         found.append(choosing(HAND_RULE, hand_rule(DECK), cases))
-        found += self.learners(cases)
+        found += self.learners(condition, cases)
         found += [self._table(condition, cases)] if has_table(condition.scenario) else []
         return found + list(whole.values())
 

@@ -56,7 +56,7 @@ SCORING = (
 NOTE = (
     "Everybody on the same recordings. Gains are paired, intervals from BCa bootstrap, p from sign "
     "flips, without correction. A run counts as diverged if it was flagged, failed, or is ten times "
-    "worse than the bound."
+    "worse than the oracle's (of the deck: than without correntropy)."
 )
 
 

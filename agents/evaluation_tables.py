@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from agents.baselines import IMM_OFF
-from agents.contest import BEST_FIXED, FALLBACK, HAND_RULE, Result
+from agents.contest import AS_TRAINED, BEST_FIXED, FALLBACK, HAND_RULE, OWN, Result
 from agents.evaluation import Bench, Verdict
 from navgym._checks import Array
 from tuning import tables, words
@@ -66,13 +66,21 @@ def _verdict_row(bench: Bench, v: Verdict, others: Sequence[str]) -> list[str]:
     share = tables.NOTHING
     if bound is not None and bound.gain > 0.0 and v.gain > 0.0:
         share = tables.percent(v.gain / bound.gain)
-    kept = result.fallbacks.get(FALLBACK.format(v.policy))
+    kept = fallback_share(bench, v)
     gains = [tables.gain(result.comparisons[q][v.policy]) for q in others]
     return [
         v.policy, v.condition, tables.gain(main[v.policy]), _p(v.p_holm), tables.number(v.score), share,
         *gains, f"{main.microseconds[v.policy]:.1f}",
         tables.NOTHING if kept is None else tables.percent(kept), "yes" if v.better else "NO",
     ]  # fmt: skip
+
+
+def fallback_share(bench: Bench, v: Verdict) -> float | None:
+    """Share of the time that a policy's fallback was in force where it was trained, if it ran."""
+    there = [bench.find(v.condition), *bench.shifts(v.condition)]
+    found = [r for r in there if r.condition.kind == OWN or r.condition.name == AS_TRAINED]
+    shares = [r.fallbacks.get(FALLBACK.format(v.policy)) for r in found]
+    return next((s for s in shares if s is not None), None)
 
 
 def _p(value: float) -> str:

@@ -27,18 +27,19 @@ def write_curve(
         f"the 95 % interval of {first}. The policy with the best score is kept."
     )
     with drawing(caption, 3.6) as (axes, made):
-        colors = iter((OWN, PLAIN, *MORE) * 3)
+        colors, drawn = iter((OWN, PLAIN, *MORE) * 3), []
         for arena, quantities in best.scores["gains"].items():
             for name in quantities:
                 gains = [100 * mark.scores["gains"][arena][name] for mark in history]
+                drawn.append(gains)
                 axes.plot(decisions, gains, color=next(colors), lw=1.6, label=f"{arena}: {name}")
         first_name = next(iter(best.scores["gains"][first]))
         middle = np.array([100 * m.scores["gains"][first][first_name] for m in history])
         half = np.array([100 * m.scores["half"] for m in history])
         axes.fill_between(decisions, middle - half, middle + half, color=OWN, alpha=0.2, lw=0)
         axes.axvline(best.decisions / 1000.0, color=BEST, lw=1.2, ls=(0, (4, 3)), label="kept")
-        top = max(float((middle + half).max()), 5.0)
-        axes.set_ylim(max(float(middle.min()) - 2.0, -top), top + 2.0)
+        top, bottom = np.max(drawn), np.min(drawn)
+        axes.set_ylim(max(bottom, -0.3 * top - 5.0) - 2.0, top + 2.0)  # a wild start is cut
         axes.set_xlabel("decisions, thousands")
         axes.set_ylabel("gain, %")
         axes.grid(axis="y")

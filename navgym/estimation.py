@@ -167,7 +167,11 @@ def run(
         )
     family = importlib.import_module(f"navgym.filters.{chosen.family}")
     table = parameter_table(
-        chosen.space, settled(parameters, filter_name), len(batch), batch.y.shape[1], decision_interval
+        chosen.space,
+        settled(parameters, filter_name),
+        len(batch),
+        batch.y.shape[1],
+        decision_interval,
     )
     outputs: dict[str, Array] = family.estimate(chosen, batch, table, decision_interval, everything)
     return outputs

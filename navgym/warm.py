@@ -14,6 +14,8 @@ from typing import Any
 
 import navgym
 import navgym.identification
+from navgym.batch import Batch
+from navgym.filters import bank, combiner
 from navgym.filters.catalogue import CATALOGUE
 from navgym.turn_model import CoordinatedTurnModel
 
@@ -64,7 +66,10 @@ def compile_one(what: str, scenario: str) -> str:
     elif what == "alignment":
         navgym.estimate(what, navgym.simulate(f"deck/{scenario}", duration=4.0))
     else:
-        navgym.estimate(what, navgym.simulate(f"auv/{scenario}", steps=3))
+        recording = navgym.simulate(f"auv/{scenario}", steps=3)
+        navgym.estimate(what, recording)
+        if CATALOGUE[what].family == "bank":
+            combine(recording)
     return f"{what} on {scenario}"
 
 
@@ -100,6 +105,14 @@ def stream_deck(recording: navgym.DualIMURecording) -> None:
         lane.put([r.main_angle[k], r.main_velocity[k], r.sub_angle[k], r.sub_velocity[k]])
         k += 1
     lane.step(look=True)
+
+
+def combine(recording: Any) -> None:
+    """One run of a combiner on the bank, if it can read one of that size."""
+    batch, modes = Batch.of([recording]), bank.MODE_SETS["bank"]
+    if combiner.fits(batch):
+        table = navgym.parameter_space("bank").array()[None]
+        combiner.estimate(combiner.idle(modes), modes, batch, table, everything=True)
 
 
 def main() -> None:

@@ -30,6 +30,9 @@ TINY = {
 }  # fmt: skip
 
 
+SCENARIOS = ("auv/switch-D", "auv/switch-B")
+
+
 def tiny(folder, **changes):
     return CombinerConfiguration(**TINY | {"out": folder} | changes)
 
@@ -84,12 +87,17 @@ def test_the_files_say_where_they_come_from(made):
     assert training["command"] == "the command"
     assert training["seeds"]["train"] == [36, 47]
     assert training["configuration"]["rounds"] == 6
-    assert set(training["validation"]["gains"]) == {"auv/switch-D", "auv/switch-B", "randomised"}
+    assert set(training["validation"]["gains"]) == {
+        "auv/switch-D",
+        "auv/switch-B",
+        "randomised",
+        "others",
+    }
 
 
 def test_it_learns_what_it_is_shown(tmp_path):
-    """On its own recordings, the excess over the oracle falls."""
-    config = tiny(tmp_path, recordings=20, batch=20, rounds=20, interval=20, steps=200, seed=0)
+    """On the recordings that it is taught with, it comes to beat the bank."""
+    config = tiny(tmp_path, recordings=12, batch=12, rounds=60, interval=60, steps=120, seed=0)
     trainer = Trainer(config, quiet)
     before = gains(trainer.network, trainer.material).mean()
     trainer.run()
@@ -100,8 +108,8 @@ def test_it_learns_what_it_is_shown(tmp_path):
 def test_the_network_in_torch_is_the_kernels():
     torch = pytest.importorskip("torch")
     torch.manual_seed(1)
-    batch = Batch.of(tiny(None).simulated(seeds("train", 3)))
-    of = material(tiny(None).simulated(seeds("train", 3)))
+    batch = Batch.of(tiny(None).simulated(SCENARIOS, seeds("train", 3)))
+    of = material(tiny(None).simulated(SCENARIOS, seeds("train", 3)))
     network = Network.for_inputs(48, of.inputs)
     for parameter in network.layers["out"].parameters():
         torch.nn.init.normal_(parameter, std=0.5)
@@ -115,7 +123,7 @@ def test_the_network_in_torch_is_the_kernels():
 
 
 def test_material_is_what_bank_and_oracle_say():
-    recordings = tiny(None).simulated(seeds("train", 4))
+    recordings = tiny(None).simulated(SCENARIOS, seeds("train", 4))
     of, batch = material(recordings), Batch.of(recordings)
     bank = run("bank", batch)["states"][..., [0, 2]]
     weights = np.exp(of.log_weights)[..., None]
@@ -135,7 +143,7 @@ def test_conditions_reach_beyond_the_shifts_that_are_reported():
     low, high = RANGES.measurement_scale
     assert low < 1 / 3
     assert high > 10.0
-    drawn = CombinerConfiguration().simulated(seeds("train", 60))
+    drawn = tiny(None).simulated(SCENARIOS, seeds("train", 60))
     scales = [np.median(r.measurement_scale) for r in drawn]
     assert min(scales) < 0.3
     assert max(scales) > 10.0
@@ -150,7 +158,8 @@ def test_conditions_reach_beyond_the_shifts_that_are_reported():
         ({"learning_rate": 0.0}, "learning_rate must be a finite number above 0"),
         ({"scenarios": ()}, "scenarios must name at least one"),
         ({"scenarios": ("auv/swich-D",)}, "Did you mean 'auv/switch-D'"),
-        ({"scenarios": ("auv/position-only",)}, "has another model than the combiner reads"),
+        ({"others": ()}, "others must name at least one"),
+        ({"others": ("auv/position-only",)}, "has another model than the combiner reads"),
         ({"scenarios": ("deck/paper",)}, "choose AUV scenarios"),
     ],
 )
@@ -180,7 +189,9 @@ def test_the_command_line_reports_on_a_combiner(made, tmp_path, monkeypatch, cap
     (row,) = json.loads((tmp_path / "report.json").read_text())
     cases = navgym.seeds("test", 4)
     batch = Batch.of([navgym.simulate("auv/switch-B", s) for s in cases])
-    error = np.sqrt(((run("bank", batch)["states"] - batch.truth)[..., [0, 2]] ** 2).sum(-1).mean(1))
+    error = np.sqrt(
+        ((run("bank", batch)["states"] - batch.truth)[..., [0, 2]] ** 2).sum(-1).mean(1)
+    )
     assert row["bank"] == pytest.approx(error.mean())
     assert row["difference"]["relative_gain"] == pytest.approx(1 - row["error"] / row["bank"])
 

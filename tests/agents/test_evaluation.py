@@ -186,7 +186,7 @@ def test_a_deck_policy_meets_short_segments_a_mild_sea_and_guessed_flexure():
     (world,) = worlds({"p": policy}, Size())
     names = [c.name for c in world.conditions()]
     assert names == [
-        "switch-60", "15 s segments", "mild sea", "flexure guessed", "switch-30", "switch-gyro",
+        "switch-60", "as trained", "15 s segments", "mild sea", "flexure guessed", "switch-30", "switch-gyro",
     ]  # fmt: skip
     assert world.count(world.conditions()[0]) >= 200
 
@@ -391,3 +391,12 @@ def test_policies_are_named_after_their_files_or_folders(tmp_path):
     assert list(load([a / "mine.npz", b / "mine.npz"])) == ["a/mine", "b/mine"]
     with pytest.raises(ValueError, match="distinct names"):
         load([a / "mine", a / "mine.npz"])
+
+
+@pytest.mark.slow
+def test_the_numbers_do_not_depend_on_the_workers():
+    found = [evaluate(worlds({"p": idle()}, SMALL), n, progress=False)[0] for n in (1, 2)]
+    one, two = (evaluation_tables.as_json([b], {})[AUV] for b in found)
+    for each in (one, two):
+        del each["microseconds per filter step"]
+    assert one == two
