@@ -1,7 +1,7 @@
 """Agents that tune filters while they run: training, portable policies, deployment.
 
 Names load on first use, so that a trained policy runs without torch: `Policy`, `SelfTuningFilter`,
-`Combiner`.
+`Combiner`, and `shipped`, the policies that come with navgym.
 """
 
 from __future__ import annotations
@@ -13,13 +13,14 @@ _HOME = {
     "Combiner": "agents.combiner",
     "Policy": "agents.policy",
     "SelfTuningFilter": "agents.streaming",
+    "shipped": "agents.policy",
 }
 
-__all__ = ["Combiner", "Policy", "SelfTuningFilter"]
+__all__ = ["Combiner", "Policy", "SelfTuningFilter", "shipped"]
 
 if TYPE_CHECKING:
     from agents.combiner import Combiner
-    from agents.policy import Policy
+    from agents.policy import Policy, shipped
     from agents.streaming import SelfTuningFilter
 
 

@@ -37,7 +37,7 @@ RANGES = AUVRanges(chance=0.4, measurement_scale=(0.1, 40.0))
 # worlds that do not switch, or switch otherwise; in auv/turn the oracle is no teacher
 STEADY = (
     "auv/nominal", "auv/burst", "auv/tvr", "auv/heavy", "auv/student", "auv/mismatch",
-    "auv/switch-A",
+    "auv/switch-A", "auv/outage", "auv/component-loss",
 )  # fmt: skip
 
 
@@ -49,7 +49,7 @@ class CombinerConfiguration:
     """what it is for: most recordings are drawn from these, in turn"""
     others: tuple[str, ...] = STEADY
     """what it must not get worse in: the rest is drawn from these"""
-    share: float = 0.25
+    share: float = 0.15
     """of recordings from the others"""
     ranges: AUVRanges = field(default_factory=lambda: RANGES)
     """where their conditions are drawn from"""
@@ -63,7 +63,7 @@ class CombinerConfiguration:
     """samples per recording"""
     units: int = kernels.UNITS
     """of the recurrent network"""
-    rounds: int = 150
+    rounds: int = 180
     """of training: in each, a batch of recordings is read from end to end"""
     batch: int = 250
     """recordings per round"""

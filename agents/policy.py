@@ -309,3 +309,10 @@ def _checked_layers(
         width = outputs
         found.append((w.astype(np.float32), b.astype(np.float32)))
     return found
+
+
+def shipped(name: str) -> Policy:
+    """A policy that comes with navgym: "auv" or "deck"; ValueError for another name."""
+    folder = Path(__file__).parent / "pretrained"
+    environments = [p.stem for p in folder.glob("*.json") if p.stem != "combiner"]
+    return Policy.load(folder / one_of("shipped policy", name, environments))

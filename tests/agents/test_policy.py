@@ -350,3 +350,22 @@ def test_names_of_the_package_load_on_first_use():
     assert "Policy" in dir(agents)
     with pytest.raises(AttributeError, match="no attribute 'Police'"):
         agents.Police  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    ("name", "environment"), [("auv", AUV), ("deck", "navgym/DeckDeformation-v0")]
+)
+def test_a_shipped_policy_fits_todays_environment(name, environment):
+    policy = agents.shipped(name)
+    assert policy.manifest.environment == environment
+    engine = gymnasium.make_vec(
+        environment, num_envs=1,
+        **{k: v for k, v in policy.manifest.settings.items() if k not in ("scenario", "overrides")},
+    ).unwrapped.engine  # fmt: skip
+    policy.check(environment, engine.observation_names, engine.space.fingerprint)
+    assert policy.manifest.training["command"].startswith("python scripts/train.py")
+
+
+def test_an_unknown_shipped_policy_is_refused():
+    with pytest.raises(ValueError, match="Did you mean 'auv'"):
+        agents.shipped("auvv")

@@ -158,9 +158,7 @@ def free_port():
 def test_the_dashboard_opens_our_journal(journal):
     run(journal, 5, study="cruise")
     port = free_port()
-    command = [
-        sys.executable, "-m", "optuna_dashboard._cli", str(journal), "--port", str(port),
-    ]  # fmt: skip
+    command = [Path(sys.executable).with_name("optuna-dashboard"), journal, "--port", str(port)]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     process = subprocess.Popen(command, **quiet)
     try:
