@@ -80,7 +80,8 @@ class Trainer:
         done = self.model.num_timesteps
         if done < self.config.decisions:
             left = self.config.decisions - done
-            self.model.learn(left, callback=_Watch(self), reset_num_timesteps=done == 0)
+            begun = self.model._last_obs is not None  # a checkpoint was taken up
+            self.model.learn(left, callback=_Watch(self), reset_num_timesteps=not begun)
         if not self.history or self.history[-1].decisions < self.model.num_timesteps:
             self.look()
 

@@ -137,8 +137,11 @@ def test_a_learning_curve_is_drawn(made):
 # ---- interruptions
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "sac", "tqc", "recurrent_ppo"])
-def test_a_killed_training_ends_where_an_uninterrupted_one_does(algorithm, tmp_path):
+@pytest.mark.parametrize(
+    ("algorithm", "lines"),
+    [("ppo", 1), ("ppo", 2), ("ppo", 4), ("sac", 4), ("tqc", 4), ("recurrent_ppo", 4)],
+)
+def test_a_killed_training_ends_where_an_uninterrupted_one_does(algorithm, lines, tmp_path):
     if algorithm in ("tqc", "recurrent_ppo"):
         pytest.importorskip("sb3_contrib")
     brief = dataclasses.replace(RECIPE, hidden=(8,), learning_starts=64, gradient_steps=1, epochs=1)
@@ -146,7 +149,7 @@ def test_a_killed_training_ends_where_an_uninterrupted_one_does(algorithm, tmp_p
     whole = train(tiny(tmp_path / "whole", **options), report=quiet)
     config = tiny(tmp_path / "killed", **options)
     with pytest.raises(Stopped):
-        train(config, report=stop_after(4))
+        train(config, report=stop_after(lines))
     continued = train(config, report=quiet)
     assert [(m.decisions, m.scores) for m in continued.history] == [
         (m.decisions, m.scores) for m in whole.history

@@ -1,0 +1,20 @@
+"""The table of speeds can be made."""
+
+import re
+
+import pytest
+
+pytest.importorskip("stable_baselines3")
+pytest.importorskip("tyro")
+pytest.importorskip("tomli_w")
+
+from agents import benchmarks
+
+
+@pytest.mark.slow
+def test_every_row_says_what_was_found(monkeypatch):
+    monkeypatch.setattr(benchmarks, "POOL", 4)
+    monkeypatch.setattr(benchmarks, "CALLS", 20)
+    rows = benchmarks.agents(1)
+    assert len(rows) == 3
+    assert all(re.search(r"\dx \([\d,.]+ against [\d,.]+ ", row.found) for row in rows)
