@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -188,12 +188,20 @@ class DualIMURecording(Frozen):
     @property
     def reference(self) -> Array | None:
         """(T, 4) reference attitude of sub in main, quaternions (scalar last), or None."""
+        return self._reference(lambda samples: samples)
+
+    @property
+    def step_reference(self) -> Array | None:
+        """(K, 4) the same at the end of each filter step only, which is quicker."""
+        return self._reference(self.at_steps)
+
+    def _reference(self, pick: Callable[[Array], Array]) -> Array | None:
+        """The reference at the samples that `pick` takes."""
         if self.attitude is not None:
-            given: Array = self.attitude
-            return given
+            return pick(self.attitude)
         if self.theta is None or self.static is None:
             return None
-        bent = Rotation.from_rotvec(np.array(self.theta))  # scipy takes writable arrays only
+        bent = Rotation.from_rotvec(np.array(pick(self.theta)))  # scipy takes writable arrays only
         moved: Array = (bent * Rotation.from_rotvec(np.array(self.static))).as_quat()
         return moved
 

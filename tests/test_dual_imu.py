@@ -73,6 +73,13 @@ def test_filter_steps_end_with_their_last_sample(ship):
     assert ragged.step_time == pytest.approx(ragged.time[[4, 9]])
 
 
+def test_the_reference_at_steps_is_the_references_own(ship):
+    assert np.array_equal(ship.step_reference, ship.at_steps(ship.reference))
+    own = dataclasses.replace(ship, attitude=ship.reference)
+    assert np.array_equal(own.step_reference, own.at_steps(own.reference))
+    assert still().step_reference is None
+
+
 def test_the_reference_follows_from_the_truth_or_is_what_was_given(ship):
     turn = Rotation.from_quat(np.array(ship.reference[70]))
     wanted = Rotation.from_rotvec(ship.theta[70] + 0.0) * Rotation.from_rotvec(ship.static + 0.0)

@@ -79,8 +79,9 @@ def run_errors(batch: DeckBatch, i: int, states: Array, attitude: bool = True) -
     }
     if attitude:
         estimated, static = attitudes(tape, states)
-        if recording.reference is not None:
-            found["attitude"] = attitude_error(estimated, recording.at_steps(recording.reference))
+        reference = recording.step_reference
+        if reference is not None:
+            found["attitude"] = attitude_error(estimated, reference)
         if recording.static is not None:
             found["static"] = (static - recording.static) / ARCMIN
     return found
