@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -237,19 +237,30 @@ def own_conditions(label: str, policy: Policy, scenarios: Sequence[str] = ()) ->
 # ---- running
 
 
-def evaluate(found: Sequence[World], processes: int = 1, progress: bool = True) -> list[Bench]:
+def evaluate(
+    found: Sequence[World],
+    processes: int = 1,
+    progress: bool = True,
+    told: Callable[[Bench], None] | None = None,
+) -> list[Bench]:
     """Run every contest.
 
     Args:
         found: the worlds.
         processes: worker processes; 1 runs everything in this one.
         progress: whether to show a bar.
+        told: called with each world's bench as soon as it is there.
 
     The answer does not depend on `processes`, times excepted.
     """
     positive_int("workers", processes)
+    benches = []
     with workers(processes) as executor:
-        return [_bench(world, executor, progress) for world in found]
+        for world in found:
+            benches.append(_bench(world, executor, progress))
+            if told is not None:
+                told(benches[-1])
+    return benches
 
 
 def _bench(world: World, executor: Executor | None, progress: bool) -> Bench:

@@ -130,16 +130,21 @@ def run(options: Options) -> list[Bench]:
     )  # fmt: skip
     if options.tracks is None:
         print("no A-KIT data: the real tracks are left out (name their folder with --data)")
-    benches = evaluate(found, options.processes, progress=True)
+    benches = evaluate(found, options.processes, told=_show)
     basis = report.provenance(
         "evaluate.py",
         tracks="none" if options.tracks is None else "A-KIT",
         seeds={"all figures": "test"},
         load=f"{os.getloadavg()[0]:.1f}, {options.processes} processes",
     )
-    print(f"\n{evaluation_tables.as_text(benches)}\n")
     results = evaluation_tables.as_json(benches, basis)
     report.write_json(options.out / "results.json", results)
     path = report.write_page(options.out / "report.html", evaluation_report.page(benches, basis))
     print(f"report: {path}\n{time.perf_counter() - began:.0f} s in all")
     return benches
+
+
+def _show(bench: Bench) -> None:
+    from agents import evaluation_tables
+
+    print(f"\n{evaluation_tables.as_text([bench])}\n", flush=True)

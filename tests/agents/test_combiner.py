@@ -18,7 +18,6 @@ from navgym.batch import Batch
 from navgym.estimation import run
 from navgym.filters import combiner as kernels
 from navgym.filters.bank import BANK
-from navgym.metrics import run_rmse
 from navgym.scenarios.auv import Loss
 from navgym.simulation import simulate_many
 from tests.helpers import identical, run_bank
@@ -343,11 +342,16 @@ def test_damaged_files_are_refused(tmp_path):
 # ---- the one that is shipped
 
 
-@pytest.mark.parametrize(("scenario", "least"), [("auv/switch-D", 0.0), ("auv/switch-B", 0.01)])
-def test_the_shipped_one_beats_the_bank_on_fresh_seeds(trained, scenario, least):
-    cases = Cases.simulated(scenario, "test", 40, start=5000)
-    own = run_rmse(cases.squared(trained.run(cases.batch)["states"])).mean()
-    assert own < (1.0 - least) * cases.errors("bank")[0].mean()
+@pytest.mark.parametrize(("scenario", "left"), [("auv/switch-D", 0.9), ("auv/switch-B", 0.85)])
+def test_the_shipped_one_comes_nearer_to_the_oracle_than_the_bank(trained, scenario, left):
+    """Of the mean squared distance to the oracle's estimate, so much is left at most."""
+    batch = Cases.simulated(scenario, "test", 60, start=5000).batch
+    oracle = run("oracle", batch)["states"][..., [0, 2]]
+    own, bank = (
+        ((found["states"][..., [0, 2]] - oracle) ** 2).sum(-1).mean()
+        for found in (trained.run(batch), run("bank", batch))
+    )
+    assert own < left * bank
 
 
 def test_the_shipped_one_keeps_the_bank_consistent(trained):
