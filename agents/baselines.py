@@ -268,6 +268,7 @@ def whole_filters(environment: str, truth: bool = True) -> list[Entry]:
             Entry("imm", "imm"),
             Entry("imm_wide", "imm_wide"),
             Entry("bank", "bank"),
+            Entry("bank_bursts", "bank_bursts"),
             Entry("oracle", "oracle", bound=True),
         ]
     return [e for e in found if truth or not e.bound]

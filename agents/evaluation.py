@@ -45,7 +45,7 @@ LEVEL = 0.05  # of the tests, several policies together
 PRICE = 0.02  # by how much another quantity may grow
 # what adapts without having learnt anything, by environment
 NOT_LEARNT: Mapping[str, tuple[str, ...]] = {
-    AUV: ("hand rule", "imm", "imm_wide", "bank"), DECK: ("hand rule",),
+    AUV: ("hand rule", "imm", "imm_wide", "bank", "bank_bursts"), DECK: ("hand rule",),
 }  # fmt: skip
 WORLDS: Mapping[str, Any] = {AUV: auv_contest.AUVWorld, DECK: deck_contest.DeckWorld}
 SERVES: Mapping[str, Any] = {AUV: auv_contest.serves, DECK: deck_contest.serves}

@@ -43,6 +43,7 @@ ABOUT: Mapping[str, str] = {
     IMM_OFF: "the IMM with every R three times too small",
     "imm, imm_wide": "6 and 13 Kalman filters over R and Q, weighed by how well they predict",
     "bank": "24 Kalman filters over R and regimes; nothing in it was learnt",
+    "bank_bursts": "the bank with a regime more, which loses samples in bursts: a loss is evidence",
     COMBINED: "a small recurrent network that weighs the bank's modes anew",
     "oracle": "told the true noise of every sample: a bound",
 }  # fmt: skip

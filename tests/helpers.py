@@ -118,7 +118,7 @@ def run_bank(recording, modes, axes, parameters=(1.0, 1.0, 0.995, 0.985, 0.2)):
     bank.run(
         lanes, batch.models, bank.half(batch.models) if axes == 2 else batch.models, batch.y,
         batch.lost, np.array(parameters, dtype=float)[None, None], 5, modes.table(),
-        np.array(modes.prior) / sum(modes.prior), modes.near, *found.values(),
+        modes.shares(), modes.near, modes.loss_table(), *found.values(),
     )  # fmt: skip
     return {name: array[0] for name, array in found.items()} | {"lane": lanes[0]}
 

@@ -53,7 +53,7 @@ PLANS = {
             {"vb_iterations": 5, "prior_count": tau, "forgetting": 0.9, "process_noise_scale": 30.0}
             for tau in (10.0, 2.0)
         ),
-        ("rmse",), ("kf", "imm", "imm_wide", "bank"),
+        ("rmse",), ("kf", "imm", "imm_wide", "bank", "bank_bursts"),
     ),
     "deck": Plan(
         "alignment_mcc", ("kernel_width",), ("kernel_width",), {}, (),

@@ -8,6 +8,8 @@ second moment), which the transition maps linearly (Blom & Bar-Shalom 1988 in an
 Where an outlier may occur, it is a second Gaussian *within* the step, not a mode that persists:
 both updates are weighed by their likelihoods and collapsed to one by their moments.
 
+Where regimes differ in how they lose samples, that a sample is lost, or not, is evidence as well.
+
 Where two axes have the same model and lose the same components, all modes keep one covariance for
 both (`axes` = 2); otherwise the state is treated as a whole (`axes` = 1). One kernel serves both.
 """
@@ -45,9 +47,11 @@ if TYPE_CHECKING:
 # columns of a parameter array
 PROCESS, MEASUREMENT, SCALE_STAY, REGIME_STAY, OUTLIER_RATE = range(5)
 OUTLIER_SCALE = 100.0
-MAX_MODES = 24
+MAX_MODES = 32
 CANCELLATION = 1e-6  # a variance shrunk by more than this in one update has lost digits: use Joseph
 LOST_LEAK = 0.2  # leaks are this much smaller across a lost sample, which tells nothing
+# regimes without losses of their own lose at one unknown rate: Beta prior (lost, received) of it
+LOST_BEFORE = (1.0, 19.0)
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,9 @@ class ModeSet:
         outliers: whether regime b allows outliers, (B,).
         prior: to what shares the regimes' leak flows, (B,).
         near: share of the scales' leak that goes to the neighbouring rows.
+        losses: for each regime (B,) the probabilities that a sample is lost after a received one
+            and after a lost one; None where losses are independent and their rate unknown. Empty:
+            losses tell nothing.
     """
 
     scales: tuple[float, ...]
@@ -67,6 +74,7 @@ class ModeSet:
     outliers: tuple[bool, ...] = (False,)
     prior: tuple[float, ...] = (1.0,)
     near: float = 0.0
+    losses: tuple[tuple[float, float] | None, ...] = ()
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -76,15 +84,23 @@ class ModeSet:
     def table(self) -> Array:
         """Rows (R scale, Q scale, allows outliers, first weight) of the modes, (A·B, 4)."""
         a, b = self.shape
-        prior = np.array(self.prior) / sum(self.prior)
         return np.column_stack(
             [
                 np.repeat(self.scales, b),
                 np.ravel(self.process),
                 np.tile(np.array(self.outliers, dtype=np.float64), a),
-                np.tile(prior, a) / a,
+                np.tile(self.shares(), a) / a,
             ]
         )
+
+    def shares(self) -> Array:
+        """To what shares the regimes' leak flows, (B,)."""
+        return np.array(self.prior) / sum(self.prior)
+
+    def loss_table(self) -> Array:
+        """`losses` as (B or 0, 2), NaN for None."""
+        nothing = (math.nan, math.nan)
+        return np.array([pair or nothing for pair in self.losses]).reshape(-1, 2)
 
 
 def _grid(scales: tuple[float, ...], process: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
@@ -100,11 +116,15 @@ _SCALES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 BANK = ModeSet(
     _SCALES, _grid(_SCALES, (1.0, 1.0, 100.0)), (False, True, False), (4.0, 2.0, 1.0), 0.1
 )
+BANK_BURSTS = ModeSet(
+    _SCALES, _grid(_SCALES, (1.0, 1.0, 100.0, 1.0)), (False, True, False, False),
+    (4.0, 2.0, 1.0, 1.0), 0.1, (None, None, None, (0.03, 0.9)),
+)  # fmt: skip
 IMM = _listed(((0.25, 1.0), (1.0, 1.0), (25.0, 1.0), (100.0, 1.0), (1.0, 100.0), (100.0, 100.0)))
 IMM_WIDE = _listed(
     tuple((r, 1.0) for r in _SCALES) + tuple((r, 100.0) for r in (0.1, 0.3, 1.0, 3.0, 10.0))
 )
-MODE_SETS = {"bank": BANK, "imm": IMM, "imm_wide": IMM_WIDE}
+MODE_SETS = {"bank": BANK, "bank_bursts": BANK_BURSTS, "imm": IMM, "imm_wide": IMM_WIDE}
 
 
 def lane_type(n: int, m: int, axes: int) -> np.dtype[Any]:
@@ -120,6 +140,7 @@ def lane_type(n: int, m: int, axes: int) -> np.dtype[Any]:
         ("weight", f8, (j,)),
         ("grid", np.int64, (2,)),  # numbers of R scales and of regimes
         ("moment", f8, (j, 1 + p * axes + p * p)),
+        ("losing", f8, (3,)),  # was the last sample lost; lost outside bursts; of how many
         ("total", f8, (1 + p * axes + p * p,)),
         ("row", f8, (j, 1 + p * axes + p * p)),
         # scratch of the modes' updates; a mode has a second branch where outliers are allowed
@@ -250,7 +271,7 @@ def _run_some(
     runner(
         lanes, models, small, batch.y[pick], batch.lost[pick],
         table if len(table) == 1 else table[pick], interval, modes.table(),
-        np.array(modes.prior) / sum(modes.prior), modes.near, *mine.values(),
+        modes.shares(), modes.near, modes.loss_table(), *mine.values(),
     )  # fmt: skip
     if not everyone:
         for name, array in mine.items():
@@ -280,6 +301,7 @@ def begin(lanes: NDArray[Any], models: NDArray[Any], modes: ModeSet, axes: int) 
     lanes["mean"] = np.swapaxes(x0, 1, 2)[:, None]
     lanes["cov"] = models["P0"][:, 0, :p, :p][:, None]
     lanes["grid"] = modes.shape
+    lanes["losing"] = (0.0, LOST_BEFORE[0], sum(LOST_BEFORE))
     lanes["weight"][:, : len(modes.table())] = modes.table()[:, 3]
 
 
@@ -366,6 +388,39 @@ def scatter(lane):
         for i in range(p):
             for g in range(axes):
                 lane.mean[j, i, g] = lane.x[g * p + i] + lane.m_prior[i, g]
+
+
+@part
+def chance_of_loss(lane, losses, b, lost):
+    """How likely regime b was to lose the sample, if `lost`, or else to let it through."""
+    chance = losses[b, 1] if lane.losing[0] > 0.0 else losses[b, 0]
+    if math.isnan(chance):
+        chance = lane.losing[1] / lane.losing[2]
+    return chance if lost else 1.0 - chance
+
+
+@part
+def judge_loss(lane, losses, lost):
+    """Weigh the regimes by whether the sample is lost; learn the rate outside of bursts.
+
+    The rate's counts grow by the weight of the regimes that share it: an assumed-density filter.
+    """
+    A, B = lane.grid[0], lane.grid[1]
+    total = 0.0
+    for b in range(B):
+        chance = chance_of_loss(lane, losses, b, lost)
+        for a in range(A):
+            lane.weight[a * B + b] *= chance
+            total += lane.weight[a * B + b]
+    shared = 0.0
+    for b in range(B):
+        for a in range(A):
+            lane.weight[a * B + b] /= total
+            if math.isnan(losses[b, 0]):
+                shared += lane.weight[a * B + b]
+    lane.losing[0] = 1.0 if lost else 0.0
+    lane.losing[1] += shared * lane.losing[0]
+    lane.losing[2] += shared
 
 
 @part
@@ -590,7 +645,9 @@ def combine(lane):
 
 
 @kernel
-def step(lane, model, small, modes, prior, near, received, q, r, scale_stay, regime_stay, rate):
+def step(
+    lane, model, small, modes, prior, near, losses, received, q, r, scale_stay, regime_stay, rate
+):  # fmt: skip
     """One sample: mix, predict, judge, update, combine. The sample lies in the lane (`receive`)."""
     m = lane.y.shape[0]
     fade = 1.0 if received > 0 else LOST_LEAK
@@ -599,6 +656,8 @@ def step(lane, model, small, modes, prior, near, received, q, r, scale_stay, reg
     if lane.grid[1] > 1:
         leak_regimes(lane, 1.0 - fade * (1.0 - regime_stay), prior)
     scatter(lane)
+    if losses.shape[0] > 0:
+        judge_loss(lane, losses, received == 0)
     mean_q, mean_r = 0.0, 0.0
     for j in range(lane.grid[0] * lane.grid[1]):
         mean_q += lane.weight[j] * modes[j, 1]
@@ -617,7 +676,7 @@ def step(lane, model, small, modes, prior, near, received, q, r, scale_stay, reg
 
 @kernel
 def run(
-    lanes, models, smalls, y, lost, parameters, interval, modes, prior, near,
+    lanes, models, smalls, y, lost, parameters, interval, modes, prior, near, losses,
     states, covariances, innovations, nis, log_likelihoods, weights,
 ):  # fmt: skip
     """Filter every series with parameters (N or 1, intervals, 5)."""
@@ -629,8 +688,8 @@ def run(
             now = min(k, models.shape[1] - 1)
             received = receive(lane, y, lost, i, k)
             step(
-                lane, models[i, now], smalls[i, now], modes, prior, near, received, row[PROCESS],
-                row[MEASUREMENT], row[SCALE_STAY], row[REGIME_STAY], row[OUTLIER_RATE],
+                lane, models[i, now], smalls[i, now], modes, prior, near, losses, received,
+                row[PROCESS], row[MEASUREMENT], row[SCALE_STAY], row[REGIME_STAY], row[OUTLIER_RATE],
             )  # fmt: skip
             report(lane, i, k, states, covariances, innovations, nis, log_likelihoods)
             if weights.shape[1] > 0:

@@ -46,6 +46,7 @@ _ALL = (
     Filter("imm", "interacting multiple models: 6 Kalman filters over R and Q scales", spaces.IMM, "bank", "imm"),
     Filter("imm_wide", "interacting multiple models: 13 Kalman filters, R scales .1 to 300", spaces.IMM, "bank", "imm_wide"),
     Filter("bank", "24 modes, R scale by regime, outliers within the step: the best estimate here", spaces.BANK, "bank", "bank"),
+    Filter("bank_bursts", "bank with a regime more, that loses samples in bursts: a loss is evidence", spaces.BANK, "bank", "bank_bursts"),
     Filter("ekf", "extended Kalman filter, with exact Jacobians", spaces.KALMAN, "nonlinear", 0, nonlinear=True),
     Filter("ukf", "unscented Kalman filter with spread a", spaces.SIGMA, "nonlinear", 1, nonlinear=True),
     Filter("ckf", "cubature Kalman filter: the unscented one at a = 1", spaces.KALMAN, "nonlinear", 1, nonlinear=True),

@@ -273,7 +273,7 @@ def spread(lane, memory):
 
 @kernel
 def run(
-    networks, lanes, models, smalls, y, lost, parameters, interval, modes, prior, near,
+    networks, lanes, models, smalls, y, lost, parameters, interval, modes, prior, near, losses,
     states, covariances, innovations, nis, log_likelihoods, weights, inputs, means, bank_weights,
     memories,
 ):  # fmt: skip
@@ -287,7 +287,7 @@ def run(
             chosen = parameters[row, min(k // interval, parameters.shape[1] - 1)]
             received = receive(lane, y, lost, i, k)
             step(
-                lane, models[i, now], smalls[i, now], modes, prior, near, received,
+                lane, models[i, now], smalls[i, now], modes, prior, near, losses, received,
                 chosen[PROCESS], chosen[MEASUREMENT], chosen[SCALE_STAY], chosen[REGIME_STAY],
                 chosen[OUTLIER_RATE],
             )  # fmt: skip

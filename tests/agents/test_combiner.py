@@ -132,8 +132,8 @@ def test_the_estimate_is_the_mixture_of_the_banks_modes_under_the_new_weights(sc
     lane = run_bank(recording, BANK, axes, CHOSEN)["lane"]
     found = network().estimate(recording)
     weights = found.extras["weights"][-1].ravel()
-    means = np.swapaxes(lane["mean"], 1, 2).reshape(24, 4)
-    blocks = [np.kron(np.eye(axes), C) for C in lane["cov"]]
+    means = np.swapaxes(lane["mean"], 1, 2).reshape(len(lane["mean"]), 4)[: len(weights)]
+    blocks = [np.kron(np.eye(axes), C) for C in lane["cov"][: len(weights)]]
     x = weights @ means
     P = sum(
         w * (C + np.outer(m - x, m - x)) for w, C, m in zip(weights, blocks, means, strict=True)

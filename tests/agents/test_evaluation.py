@@ -43,7 +43,7 @@ from tuning.measures import find_measure
 WRONG_MODEL = {"process_scale": 20.0, "steps": 150, "loss": 0.0}
 SMALL = Size(auv=8, deck=3, deck_other=2, draws=1, quick=True)
 A6 = (
-    "default", "hand rule", "best fixed", "true-regime table", "imm", "imm_wide", "bank", "oracle",
+    "default", "hand rule", "best fixed", "true-regime table", "imm", "imm_wide", "bank", "bank_bursts", "oracle",
 )  # fmt: skip
 
 
@@ -103,7 +103,7 @@ def test_a_policy_that_diverges_is_not_better_and_has_no_gain():
     assert failures([found]) == [
         "bad is not better than the best fixed parameters on switch-D, steps=300: it diverges."
     ]
-    assert set(verdict.ahead) == {"hand rule", "imm", "imm_wide", "bank"}
+    assert set(verdict.ahead) == {"hand rule", "imm", "imm_wide", "bank", "bank_bursts"}
 
 
 def test_p_values_are_corrected_for_the_policies_that_were_tried(bench):
@@ -234,7 +234,12 @@ def test_a_combiner_that_learnt_nothing_is_the_bank(tmp_path, monkeypatch):
     (found,) = benches({"idle": idle()}, combiners=combiners)
     (result,) = found.own()
     errors = result.main.errors
-    assert list(errors)[-3:] == ["bank", "bank + combiner", "oracle"]  # the ladder's order
+    assert list(errors)[-4:] == [
+        "bank",
+        "bank_bursts",
+        "bank + combiner",
+        "oracle",
+    ]  # the ladder's order
     np.testing.assert_allclose(errors["bank + combiner"], errors["bank"], rtol=1e-9)
     assert result.consistency["bank + combiner"]["nees"] == pytest.approx(
         result.consistency["bank"]["nees"]

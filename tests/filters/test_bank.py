@@ -1,5 +1,7 @@
 """Banks of Kalman filters against the textbook's IMM, and where they must equal one filter."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -17,6 +19,7 @@ from tests.twins import bank as twin
 FULL, SHARED = 1, 2
 SCALES = (0.3, 3.0, 40.0)
 GRID = ModeSet(SCALES, ((1.0, 1.0, 50.0),) * 3, (False, True, False), (4.0, 2.0, 1.0), 0.2)
+BURSTS = dataclasses.replace(GRID, losses=(None, None, (0.1, 0.8)))
 ALONE = ModeSet((1.0,), ((1.0,),))
 ALIKE = ModeSet((1.0,) * 6, ((1.0,),) * 6)
 
@@ -49,16 +52,53 @@ def agree(found, wanted):
     np.testing.assert_allclose(found["weights"], wanted["weights"], rtol=1e-8, atol=1e-14)
 
 
+@pytest.mark.parametrize("modes", [GRID, BURSTS])
 @given(problem=problems(sizes=((2, 1), (8, 3))), chosen=leaks())
-def test_whole_state_agrees_with_the_textbook(problem, chosen):
-    found = run_bank(problem.recording, GRID, FULL, chosen)
-    agree(found, twin.bank(problem.model, problem.y, problem.lost, GRID, *chosen))
+def test_whole_state_agrees_with_the_textbook(modes, problem, chosen):
+    found = run_bank(problem.recording, modes, FULL, chosen)
+    agree(found, twin.bank(problem.model, problem.y, problem.lost, modes, *chosen))
+
+
+@pytest.mark.parametrize("modes", [GRID, BURSTS])
+@given(problem=twins(), chosen=leaks())
+def test_shared_covariance_agrees_with_its_twin(modes, problem, chosen):
+    found = run_bank(problem.recording, modes, SHARED, chosen)
+    agree(found, twin.bank(problem.model, problem.y, problem.lost, modes, *chosen, axes=2))
 
 
 @given(problem=twins(), chosen=leaks())
-def test_shared_covariance_agrees_with_its_twin(problem, chosen):
-    found = run_bank(problem.recording, GRID, SHARED, chosen)
-    agree(found, twin.bank(problem.model, problem.y, problem.lost, GRID, *chosen, axes=2))
+def test_losses_tell_nothing_where_all_regimes_lose_alike(problem, chosen):
+    for losses in ((None,) * 3, ((0.2, 0.6),) * 3):
+        same(
+            run_bank(problem.recording, dataclasses.replace(GRID, losses=losses), SHARED, chosen),
+            run_bank(problem.recording, GRID, SHARED, chosen),
+        )
+
+
+def test_a_burst_of_losses_is_told_from_independent_ones():
+    """The same number of losses, in two bursts or spread evenly."""
+    bursts = np.zeros(200, bool)
+    bursts[[*range(60, 80), *range(140, 160)]] = True
+    spread = np.zeros(200, bool)
+    spread[::5] = True
+    weight = {}
+    for name, lost in (("bursts", bursts), ("spread", spread)):
+        y = navgym.simulate("auv/nominal", 3, steps=200, loss=0.0).measurements
+        recording = navgym.Recording(np.arange(200.0), y, lost, model=navgym.LinearModel())
+        found = navgym.estimate("bank_bursts", recording)
+        weight[name] = found.extras["weights"].sum(1)[:, 3]
+    assert weight["bursts"][150] > 0.9
+    assert weight["spread"].max() < 0.3
+
+
+def test_losses_as_evidence_help_where_a_regime_loses_in_bursts_and_cost_nothing_elsewhere():
+    def mean_error(name, scenario):
+        batch = Batch.of(simulate_many(scenario, range(9000, 9150)))
+        errors = ((run(name, batch)["states"] - batch.truth)[..., [0, 2]] ** 2).sum(-1)
+        return np.sqrt(errors.mean(1)).mean()
+
+    for scenario, most in (("auv/switch-B", 0.995), ("auv/switch-D", 1.002)):
+        assert mean_error("bank_bursts", scenario) < most * mean_error("bank", scenario)
 
 
 @pytest.mark.parametrize("name", MODE_SETS)
@@ -67,7 +107,7 @@ def test_shared_covariance_agrees_with_its_twin(problem, chosen):
 )
 def test_names_mean_their_modes_and_take_the_path_that_applies(name, scenario, axes):
     recording = navgym.simulate(scenario, 4, steps=40)
-    chosen = (2.0, 3.0, 0.98, 0.95, 0.1) if name == "bank" else (2.0, 3.0, 0.98, 1.0, 0.0)
+    chosen = (2.0, 3.0, 0.98, 0.95, 0.1) if name.startswith("bank") else (2.0, 3.0, 0.98, 1.0, 0.0)
     wanted = twin.bank(
         recording.model, recording.measurements, recording.lost, MODE_SETS[name], *chosen, axes=axes
     )

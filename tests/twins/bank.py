@@ -1,7 +1,8 @@
 """The interacting-multiple-model filter of the textbooks, with a J x J transition matrix.
 
 Blom & Bar-Shalom 1988: mix, predict, update, combine. Modes multiply Q and R; a mode with outliers
-updates twice, under R and 100 R, and is collapsed to the moments of the two.
+updates twice, under R and 100 R, and is collapsed to the moments of the two. Where the modes say how
+their regimes lose samples, losing one or not is a likelihood like any other.
 """
 
 import math
@@ -13,6 +14,7 @@ from tests.twins.gaussian import Log, at, judge
 
 OUTLIER_SCALE = 100.0
 LOST_LEAK = 0.2
+LOST_BEFORE = (1.0, 19.0)
 
 
 def transition(modes, scale_stay, regime_stay):
@@ -53,6 +55,7 @@ def bank(
     means = np.tile(model.x0.reshape(axes, n), (J, 1, 1))
     C = np.tile(model.P0[:n, :n], (J, 1, 1))
     log, weights = Log(), []
+    history, rate_of_loss = [False], Rate()
     for k in range(len(y)):
         F, H, Q, R = (at(M, k) for M in (model.F, model.H, model.Q, model.R))
         f, g = F[:n, :n], Q[:n, :n]
@@ -64,6 +67,12 @@ def bank(
 
         T = transition(modes, 1 - fade * (1 - scale_stay), 1 - fade * (1 - regime_stay))
         weight, means, C = mixed(T, weight, means, C)
+        if modes.losses:
+            chances = rate_of_loss.chances(modes.losses, history[-1], not got.any())
+            weight = weight * np.tile(chances, len(modes.scales))
+            weight = weight / weight.sum()
+            rate_of_loss.learn(modes.losses, weight.reshape(modes.shape), not got.any())
+            history.append(not got.any())
         means = means @ f.T
         C = np.array([f @ c @ f.T + q * mode[1] * g for c, mode in zip(C, table, strict=True)])
 
@@ -97,6 +106,26 @@ def bank(
         log.add(x, P, innovation, nis, likelihood)
         weights.append(weight.reshape(modes.shape))
     return log.arrays() | {"weights": np.stack(weights)}
+
+
+class Rate:
+    """Rate of independent losses, from its Beta prior and the samples of regimes that share it."""
+
+    def __init__(self):
+        self.lost, self.received = LOST_BEFORE
+
+    def chances(self, losses, before, now):
+        """Likelihood, regime by regime, of losing the sample (`now`) after `before`."""
+        mean = self.lost / (self.lost + self.received)
+        chance = np.array([mean if pair is None else pair[int(before)] for pair in losses])
+        return chance if now else 1 - chance
+
+    def learn(self, losses, weight, now):
+        share = sum(weight[:, b].sum() for b, pair in enumerate(losses) if pair is None)
+        if now:
+            self.lost += share
+        else:
+            self.received += share
 
 
 def spread(d):
