@@ -10,8 +10,6 @@ import ast
 import dataclasses
 import inspect
 import json
-import tomllib
-import types
 import typing
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -19,13 +17,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
-import tomli_w
 from tyro.constructors import PrimitiveConstructorSpec
 
 from agents.randomisation import AUVRanges, DeckRanges, Ranges
 from navgym._checks import one_of, positive_int, within
 from navgym.envs import ENVIRONMENTS
 from navgym.simulation import find_scenario
+from tuning import declared
 
 
 def _object(text: str) -> dict[str, Any]:
@@ -238,12 +236,11 @@ class Configuration:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data, as TOML and JSON can hold it; what is unset is left out."""
-        plain: dict[str, Any] = _plain(dataclasses.asdict(self))
-        return plain
+        return declared.as_dict(self)
 
     def to_toml(self) -> str:
         """The configuration as TOML."""
-        return tomli_w.dumps(self.as_dict())
+        return declared.to_toml(self.as_dict())
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Configuration:
@@ -251,16 +248,12 @@ class Configuration:
 
         Raises ValueError, naming the field, for an unknown one or a value of another type.
         """
-        made: Configuration = _made(cls, values, "")
-        return made
+        return declared.from_dict(cls, values)
 
     @classmethod
     def from_toml(cls, path: Path) -> Configuration:
         """Read a file; ValueError naming it for what cannot be read or is wrong."""
-        try:
-            return cls.from_dict(tomllib.loads(path.read_text(encoding="utf-8")))
-        except ValueError as error:  # TOMLDecodeError and UnicodeDecodeError are ones
-            raise ValueError(f"{path}: {error}") from error
+        return declared.from_toml(cls, path)
 
 
 PRESETS: Mapping[str, tuple[str, Configuration]] = MappingProxyType(
@@ -287,49 +280,6 @@ PRESETS: Mapping[str, tuple[str, Configuration]] = MappingProxyType(
 )  # fmt: skip
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {name: _plain(each) for name, each in value.items() if each is not None}
-    if isinstance(value, (tuple, list)):
-        return [_plain(each) for each in value]
-    return str(value) if isinstance(value, Path) else value
-
-
-def _made(kind: Any, values: Mapping[str, Any], where: str) -> Any:
-    """`values` as the dataclass `kind`, whose fields' types decide."""
-    hints = typing.get_type_hints(kind)
-    known = [f.name for f in dataclasses.fields(kind)]
-    for name in values:
-        one_of("field", name, known)
-    return kind(
-        **{name: _value(hints[name], each, f"{where}{name}") for name, each in values.items()}
-    )
-
-
-def _value(hint: Any, value: Any, name: str) -> Any:
-    """`value` as type `hint`; ValueError naming the field if it is of another."""
-    if isinstance(hint, types.UnionType):
-        hint = next(each for each in typing.get_args(hint) if each is not type(None))
-    origin = typing.get_origin(hint)
-    if dataclasses.is_dataclass(hint):
-        if not isinstance(value, Mapping):
-            raise ValueError(f"{name} must be a table of its fields, got {value!r}.")
-        return _made(hint, value, f"{name}.")
-    if origin is tuple:
-        if not isinstance(value, (list, tuple)):
-            raise ValueError(f"{name} must be a list, got {value!r}.")
-        item = typing.get_args(hint)[0]
-        return tuple(_value(item, each, name) for each in value)
-    if origin is Literal:
-        return one_of(name, value, typing.get_args(hint))
-    wanted = {float: (int, float), Path: (str, Path)}.get(hint, origin or hint)
-    if not isinstance(value, wanted) or (isinstance(value, bool) and hint is not bool):
-        raise ValueError(
-            f"{name} must be of type {getattr(hint, '__name__', hint)}, got {value!r}."
-        )
-    return float(value) if hint is float else value
-
-
 # ---- as documentation ----------------------------------------------------------------------
 
 
@@ -343,13 +293,13 @@ def markdown() -> str:
 
 
 def _rows(kind: Any, prefix: str = "") -> Iterator[tuple[str, Any, str]]:
-    texts, plain = _helps(kind), kind()
+    texts, usual = _helps(kind), kind()
     for f in dataclasses.fields(kind):
-        value = getattr(plain, f.name)
+        value = getattr(usual, f.name)
         if dataclasses.is_dataclass(value):
             yield from _rows(type(value), f"{prefix}{f.name}.")
         else:
-            yield f"{prefix}{f.name}", _plain(value), texts.get(f.name, "")
+            yield f"{prefix}{f.name}", declared.plain(value), texts.get(f.name, "")
 
 
 def _helps(kind: Any) -> dict[str, str]:

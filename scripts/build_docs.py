@@ -1,4 +1,4 @@
-"""Write the pages of docs/ that are read off the code: environments, filters, scenarios.
+"""Write the pages of docs/ that are read off the code: environments, filters, scenarios, training.
 
 python scripts/build_docs.py           write them
 python scripts/build_docs.py --check   say whether they are up to date (exit status 1 if not)
@@ -13,6 +13,7 @@ from pathlib import Path
 
 import gymnasium
 
+from agents.configuration import markdown as configuration_table
 from navgym.filters.catalogue import CATALOGUE as CATALOGUE_OF_FILTERS
 from navgym.filters.catalogue import DECK_CATALOGUE as DECK_FILTERS
 from navgym.filters.catalogue import Filter
@@ -83,9 +84,20 @@ def scenarios_page() -> str:
     return "\n".join(parts) + "\n"
 
 
+def training_page() -> str:
+    """Every field of a training's configuration."""
+    return (
+        NOTE + "# Fields of a training\n\n"
+        "`python scripts/train.py --help` shows the same as flags (`decisions` is `--decisions`, "
+        "`recipe.gamma` is `--recipe.gamma`); `config.toml` beside each policy holds them, and can be "
+        f"given to the command again.\n\n{configuration_table()}\n"
+    )
+
+
 def pages() -> dict[Path, str]:
     """Every page by its path."""
     found = {DOCS / "filters.md": filters_page(), DOCS / "scenarios.md": scenarios_page()}
+    found[DOCS / "training.md"] = training_page()
     for name in sorted(gymnasium.registry):
         if name.startswith("navgym/"):
             found[DOCS / "environments" / f"{name.removeprefix('navgym/')}.md"] = environment_page(

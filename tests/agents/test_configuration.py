@@ -71,7 +71,7 @@ class TestConfiguration:
             ("[recipe]\ngamma = 1.5", r"recipe\.gamma must be a number in 0\.\.1, got 1\.5"),
             ('scenarios = "auv/switch-D"', "scenarios must be a list"),
             ('algorithm = "dqn"', "unknown algorithm 'dqn'"),
-            ("lanes = [", "c.toml: "),
+            ("lanes = [", "c.toml is not TOML: "),
         ],
     )
     def test_a_wrong_file_is_refused_naming_the_field(self, text, message, tmp_path):
