@@ -12,12 +12,18 @@ import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, VecNormalize
 
+import navgym
 from agents import learners
+from agents.combiner import Combiner
 from agents.configuration import PRESETS, Configuration
 from agents.manifest import Manifest
 from agents.material import material
-from agents.policy import Policy
+from agents.policy import PRETRAINED, Policy, shipped
+from agents.streaming import SelfTuningFilter
 from agents.vec_env import LaneVecEnv
+from navgym.batch import Batch
+from navgym.estimation import run
+from navgym.simulation import simulate_many
 from tuning.benchmarks.timing import Row, measured, paired
 
 FEW = 16  # single environments that stand for the usual way
@@ -35,7 +41,8 @@ def agents(rounds: int) -> list[Row]:
         functools.partial(learning, config, lanes, singles),
         functools.partial(acting, config, lanes),
     )
-    return measured([functools.update_wrapper(part, part.func) for part in parts], rounds)
+    named = [functools.update_wrapper(part, part.func) for part in parts]
+    return measured([*named, streaming, combining], rounds)
 
 
 def _single(config: Configuration) -> gymnasium.Env[Any, Any]:
@@ -111,4 +118,47 @@ def acting(config: Configuration, lanes: LaneVecEnv, rounds: int) -> Row:
         "one decision: Policy.parameters (numpy) against Stable-Baselines3's predict",
         "under 20 µs",
         f"{theirs / own:.0f}x ({own:.1f} against {theirs:.0f} µs)",
+    )
+
+
+def streaming(rounds: int) -> list[Row]:
+    """Time of one sample of a self-tuning filter, against its kernel on a whole recording."""
+    return [
+        _streaming("qivbf", shipped("auv"), "auv/switch-D", "under 30 µs", rounds),
+        _streaming("idam", shipped("deck"), "deck/switch-60", "told", rounds, duration=90.0),
+    ]
+
+
+def _streaming(
+    name: str, policy: Policy, scenario: str, wanted: str, rounds: int, **overrides: Any
+) -> Row:
+    recording = navgym.simulate(scenario, navgym.seeds("test", 1)[0], **overrides)
+    model: Any = recording.model
+    live = SelfTuningFilter(name, policy, model)
+
+    def stream() -> None:
+        live.reset()
+        for _ in live.follow(recording):
+            pass
+
+    mine, other, ratio = paired(stream, lambda: navgym.estimate(name, recording), rounds)
+    own, theirs = (1e6 * t / len(recording.time) for t in (mine, other))
+    return Row(
+        f"SelfTuningFilter of {name} (policy, fallback and the filter beside it), a sample, "
+        f"against navgym.estimate on {scenario}",
+        wanted,
+        f"{1 / ratio:.0f}x ({own:.1f} against {theirs:.2f} µs)",
+    )
+
+
+def combining(rounds: int) -> Row:
+    """What the learned combiner costs beyond the bank that it stands on."""
+    batch = Batch.of(simulate_many("auv/switch-B", navgym.seeds("test", 40)))
+    combiner = Combiner.load(PRETRAINED / "combiner")
+    steps = batch.y.shape[0] * batch.y.shape[1]
+    mine, other, _ = paired(lambda: combiner.run(batch), lambda: run("bank", batch), rounds)
+    return Row(
+        "bank + combiner against bank, 40 series of 800, per step",
+        "at most 5 µs more",
+        f"{1e6 * (mine - other) / steps:.1f} µs more ({1e6 * other / steps:.1f} the bank)",
     )

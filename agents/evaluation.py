@@ -29,7 +29,7 @@ from agents.contest import (
     short,
 )
 from agents.contest_play import Part, joined, parts, play
-from agents.policy import KIND, Policy
+from agents.policy import KIND, PRETRAINED, Policy
 from agents.portable import pair
 from agents.rollout import AUV, DECK
 from navgym._checks import one_of, positive_int
@@ -39,7 +39,6 @@ from tuning.comparison import Comparison
 from tuning.executors import workers
 
 COMBINED = "bank + combiner"
-PRETRAINED = Path(__file__).parent / "pretrained"
 FULL, QUICK = Size(), Size(auv=40, deck=8, deck_other=4, draws=2, quick=True)
 LEVEL = 0.05  # of the tests, several policies together
 PRICE = 0.02  # by how much another quantity may grow

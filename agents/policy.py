@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecNormalize
 
 KIND = "navgym policy"
+PRETRAINED = Path(__file__).parent / "pretrained"  # what comes with navgym
 ACTIVATIONS = ("tanh", "relu")
 
 Single = NDArray[np.float32]
@@ -313,6 +314,5 @@ def _checked_layers(
 
 def shipped(name: str) -> Policy:
     """A policy that comes with navgym: "auv" or "deck"; ValueError for another name."""
-    folder = Path(__file__).parent / "pretrained"
-    environments = [p.stem for p in folder.glob("*.json") if p.stem != "combiner"]
-    return Policy.load(folder / one_of("shipped policy", name, environments))
+    environments = [p.stem for p in PRETRAINED.glob("*.json") if p.stem != "combiner"]
+    return Policy.load(PRETRAINED / one_of("shipped policy", name, environments))

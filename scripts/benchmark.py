@@ -2,6 +2,7 @@
 
     python scripts/benchmark.py auv             print the table
     python scripts/benchmark.py deck
+    python scripts/benchmark.py agents          learning, acting, live filters
     python scripts/benchmark.py studies         what Optuna and its storage cost
     python scripts/benchmark.py deck --write    also write docs/benchmarks-deck.md
 
@@ -12,10 +13,15 @@ peers filterpy, fastrvm and (if it is installed: pip install dynamax) dynamax ar
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from tuning.benchmarks.timing import Row
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-TITLES = {"auv": "the AUV half", "deck": "the deck half", "studies": "studies"}
+TITLES = {"auv": "the AUV half", "deck": "the deck half", "agents": "agents", "studies": "studies"}
 
 
 def main() -> None:
@@ -27,15 +33,24 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=7, help="turns per pair (default: 7)")
     parser.add_argument("--write", action="store_true", help="write docs/benchmarks-HALF.md")
     options = parser.parse_args()
-    from tuning.benchmarks import auv, deck, studies
     from tuning.benchmarks.timing import as_markdown
 
-    parts = {"auv": auv.auv, "deck": deck.deck, "studies": studies.studies}
-    rows = parts[options.half](options.rounds)
+    rows = _part(options.half)(options.rounds)
     text = as_markdown(options.half, TITLES[options.half], rows)
     print(text)
     if options.write:
         (DOCS / f"benchmarks-{options.half}.md").write_text(text)
+
+
+def _part(name: str) -> Callable[[int], list[Row]]:
+    """What measures `name`; only its own packages are imported."""
+    if name == "agents":
+        from agents.benchmarks import agents
+
+        return agents
+    from tuning.benchmarks import auv, deck, studies
+
+    return {"auv": auv.auv, "deck": deck.deck, "studies": studies.studies}[name]
 
 
 if __name__ == "__main__":
