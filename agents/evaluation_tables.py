@@ -187,6 +187,13 @@ def _error(found: Comparison, label: str) -> str:
 # ---- terminal and JSON
 
 
+def several(bench: Bench, results: Sequence[Result]) -> list[str]:
+    """Gains with their intervals, and the whole ladder's errors, for a terminal."""
+    if not results:
+        return []
+    return [t.as_text() for t in (gain_table(bench, results), error_table(results))]
+
+
 def as_text(benches: Sequence[Bench]) -> str:
     """The tables for a terminal."""
     found = []
@@ -196,9 +203,8 @@ def as_text(benches: Sequence[Bench]) -> str:
             found.append(f"{half}, {result.condition.name}")
             found += [t.as_text() for t in ladders(bench, result)]
             others = bench.shifts(result.condition.name)
-            found += [gain_table(bench, others).as_text()] if others else []
-        rest = bench.rest()
-        found += [gain_table(bench, rest).as_text()] if rest else []
+            found += several(bench, others)
+        found += several(bench, bench.rest())
         found += [verdict_table(bench).as_text()] if bench.verdicts else []
     return "\n\n".join(found)
 
