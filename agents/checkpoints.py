@@ -12,7 +12,7 @@ import json
 import random
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,8 @@ from stable_baselines3.common.vec_env import VecNormalize
 from agents.portable import digest
 from agents.vec_env import LaneVecEnv
 from navgym._atomic import replacing
+
+Report = Callable[[str], None]  # takes lines of progress
 
 KEPT = 2
 
@@ -77,6 +79,36 @@ def latest(folder: Path) -> tuple[Checkpoint | None, list[str]]:
         except _UNREADABLE as error:
             problems.append(f"{path} is damaged ({error})")
     return None, problems
+
+
+def to_continue(
+    folder: Path, configuration: Mapping[str, Any], report: Report
+) -> Checkpoint | None:
+    """The checkpoint in a training's folder to go on from, if there is one.
+
+    Args:
+        folder: of the training; its `checkpoints` are looked at.
+        configuration: what the training depends on, as JSON holds it.
+        report: told of damaged checkpoints.
+
+    Raises:
+        ValueError: the folder holds another training.
+    """
+    found, problems = latest(folder / "checkpoints")
+    for problem in problems:
+        report(f"{problem}: " + ("going back to the one before" if found else "starting anew"))
+    if found is None:
+        return None
+    was = found.facts["configuration"]
+    differing = sorted(n for n in {*was, *configuration} if was.get(n) != configuration.get(n))
+    if differing:
+        name = differing[0]
+        raise ValueError(
+            f"{folder} holds another training, which differs in {', '.join(differing)} ("
+            f"{name} there: {was.get(name)!r}, asked for: {configuration.get(name)!r}): name "
+            "another folder (--out), or start anew (--fresh)."
+        )
+    return found
 
 
 def clear(folder: Path) -> None:

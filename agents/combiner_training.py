@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from agents import checkpoints
-from agents.checkpoints import Checkpoint
+from agents.checkpoints import Checkpoint, Report
 from agents.combiner import Combiner, bank_facts, modes
 from agents.combiner_material import (
     AT_ONCE,
@@ -32,7 +32,6 @@ from navgym.scenarios import seeds
 if TYPE_CHECKING:
     import torch
 
-Report = Callable[[str], None]
 
 RANDOMISED, OTHERS = "randomised", "others"
 WARM_UP = 20  # updates over which the step size grows to its full size
@@ -144,31 +143,12 @@ def train(
     if fresh:
         checkpoints.clear(config.folder / "checkpoints")
     else:
-        kept = _continued(config, report)
+        kept = checkpoints.to_continue(config.folder, config.comparable(), report)
     trainer = Trainer(config, report, command)
     if kept is not None:
         trainer.take_up(kept)
     trainer.run()
     return trainer.finish()
-
-
-def _continued(config: CombinerConfiguration, report: Report) -> Checkpoint | None:
-    """The checkpoint to go on from, if there is one; ValueError if it is of another training."""
-    found, problems = checkpoints.latest(config.folder / "checkpoints")
-    for problem in problems:
-        report(f"{problem}: " + ("going back to the one before" if found else "starting anew"))
-    if found is None:
-        return None
-    was, now = found.facts["configuration"], config.comparable()
-    differing = sorted(n for n in {*was, *now} if was.get(n) != now.get(n))
-    if differing:
-        name = differing[0]
-        raise ValueError(
-            f"{config.folder} holds another training, which differs in {', '.join(differing)} ("
-            f"{name} there: {was.get(name)!r}, asked for: {now.get(name)!r}): name another folder "
-            "(--out), or start anew (--fresh)."
-        )
-    return found
 
 
 class Trainer:

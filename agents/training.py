@@ -6,19 +6,16 @@ checkpoint, and ends with the policy that an uninterrupted one ends with, to the
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from agents import checkpoints
-from agents.checkpoints import Checkpoint
+from agents.checkpoints import Checkpoint, Report
 from agents.configuration import Configuration
 from agents.policy import Policy
 from agents.record import Mark, versions
 from navgym._atomic import replacing
-
-Report = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -73,20 +70,9 @@ def train(
 
 def _continued(config: Configuration, report: Report) -> Checkpoint | None:
     """The checkpoint to go on from, if there is one; ValueError if it is of another training."""
-    found, problems = checkpoints.latest(config.folder / "checkpoints")
-    for problem in problems:
-        report(f"{problem}: " + ("going back to the one before" if found else "starting anew"))
+    found = checkpoints.to_continue(config.folder, comparable(config), report)
     if found is None:
         return None
-    was, now = found.facts["configuration"], comparable(config)
-    differing = sorted(n for n in {*was, *now} if was.get(n) != now.get(n))
-    if differing:
-        name = differing[0]
-        raise ValueError(
-            f"{config.folder} holds another training, which differs in {', '.join(differing)} ("
-            f"{name} there: {was.get(name)!r}, asked for: {now.get(name)!r}): name another folder "
-            "(--out), or start anew (--fresh)."
-        )
     before, today = found.facts["versions"], versions()
     changed = [f"{k} {v} then, {today.get(k)} now" for k, v in before.items() if today.get(k) != v]
     if changed:
