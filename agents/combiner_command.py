@@ -24,7 +24,7 @@ from tuning.cases import Cases
 
 ABOUT = """Train the combiner: a network that weighs the modes of the frozen bank.
 
-  python scripts/train_combiner.py                  the one in agents/pretrained, in some minutes
+  python scripts/train_combiner.py                  the one in agents/pretrained, in five minutes or so
   python scripts/train_combiner.py --shifts         report on shifted conditions, too
   python scripts/train_combiner.py --evaluate agents/pretrained/combiner --shifts
 

@@ -25,6 +25,7 @@ from agents.combiner_material import (
     material,
 )
 from agents.record import versions
+from navgym._atomic import writable_folder
 from navgym._checks import Array
 from navgym.filters import combiner as kernels
 from navgym.scenarios import seeds
@@ -137,8 +138,8 @@ def train(
     Raises:
         ValueError: the folder holds another training; recordings that take too much memory.
     """
+    writable_folder("out", config.folder)
     checked_memory(config)
-    config.folder.mkdir(parents=True, exist_ok=True)
     kept = None
     if fresh:
         checkpoints.clear(config.folder / "checkpoints")

@@ -131,6 +131,7 @@ class World:
     Args:
         policies: those of its environment, by label.
         own: conditions that policies are judged in: those that they were trained for.
+        answers: names of the own conditions that each policy answers for; by default all.
         size: how much is run.
         fallback: whether policies also run with their fallback.
         folder: of real tracks; None leaves them out.
@@ -154,7 +155,10 @@ class World:
         fallback: bool = True,
         folder: Path | None = None,
         combiners: Mapping[str, Combiner] = MappingProxyType({}),
+        answers: Mapping[str, Sequence[str]] | None = None,
     ) -> None:
+        everything = [c.name for c in own]
+        self.answers = dict.fromkeys(policies, everything) if answers is None else dict(answers)
         self.policies, self.own, self.size = dict(policies), tuple(own), size
         self.fallback, self.folder, self.combiners = fallback, folder, dict(combiners)
 

@@ -190,20 +190,22 @@ def worlds(
         combiners: learned combiners of the bank to run beside, by label.
 
     Raises:
-        ValueError: an unknown scenario, or one that a policy cannot serve.
+        ValueError: a policy of an unknown environment, an unknown scenario, or one that a policy
+            cannot serve.
     """
     for name in scenarios:
         one_of("scenario", name, known_scenarios())
+    for label, policy in policies.items():
+        one_of(f"environment of policy {label!r}:", policy.manifest.environment, WORLDS)
     found = []
     for environment, make in WORLDS.items():
         mine = {k: p for k, p in policies.items() if p.manifest.environment == environment}
         if not mine:
             continue
-        own: dict[str, Condition] = {}
-        for label, policy in mine.items():
-            for condition in own_conditions(label, policy, scenarios):
-                own.setdefault(condition.name, condition)
-        found.append(make(mine, list(own.values()), size, fallback, folder, combiners))
+        each = {k: own_conditions(k, p, scenarios) for k, p in mine.items()}
+        own = {c.name: c for conditions in each.values() for c in conditions}
+        answers = {k: [c.name for c in conditions] for k, conditions in each.items()}
+        found.append(make(mine, list(own.values()), size, fallback, folder, combiners, answers))
     return found
 
 
@@ -299,23 +301,12 @@ def _played(
 # ---- judging
 
 
-def trained_for(world: World) -> dict[str, list[str]]:
-    """Names of the own conditions that each policy answers for."""
-    names = [c.name for c in world.own]
-    found = {}
-    for label, policy in world.policies.items():
-        own = [c.name for c in own_conditions(label, policy)]
-        found[label] = [n for n in names if n in own] or names
-    return found
-
-
 def _verdicts(world: World, results: Sequence[Result]) -> Iterator[Verdict]:
-    answers = trained_for(world)
     for result in results:
         if result.condition.kind != OWN:
             continue
         name = result.condition.name
-        labels = [label for label in world.policies if name in answers[label]]
+        labels = [label for label in world.policies if name in world.answers[label]]
         against = {label: result.main.difference(label, BEST_FIXED) for label in labels}
         if not labels:
             continue

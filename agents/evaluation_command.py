@@ -23,6 +23,7 @@ from agents.evaluation import (
     load_combiners,
     worlds,
 )
+from navgym._atomic import writable_folder
 from navgym._checks import positive_int
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "akit"
@@ -77,6 +78,7 @@ class Options:
         positive_int("workers", self.processes)
         if self.data is not None and not self.data.is_dir():
             raise ValueError(f"--data must be the folder of the A-KIT tracks: {self.data} is none.")
+        writable_folder("--out", self.out)
 
     @property
     def size(self) -> Size:

@@ -21,6 +21,7 @@ KNOWN = (
     "time", *STATES, "lost", *(f"lost_{n}" for n in STATES), *(f"truth_{n}" for n in STATES),
     *ANNOTATIONS,
 )  # fmt: skip
+LONGEST = 1000.0  # steps: a longer gap is taken for a wrong time until the next line confirms it
 COLUMNS = ("time", *STATES, *(f"std_{name}" for name in STATES), "nis", "fallback")
 
 
@@ -56,7 +57,7 @@ def estimates(
 
     The first line that has every measured position starts the filter. A later line that cannot
     be read, or whose time does not come after the last, is left out with a notice: at sea the
-    next one counts.
+    next one counts. So is one after a gap of over 1000 steps, unless the next goes on from there.
 
     Args:
         lines: header first.
@@ -66,20 +67,27 @@ def estimates(
         delimiter: between cells.
 
     Raises:
-        ValueError: a header without time or measurements, or with columns of unknown meaning.
+        ValueError: a header without time or measurements, or with columns of unknown meaning; a
+            policy of another filter; a delimiter of more than one character.
     """
-    rows = _rows(lines, delimiter)
-    header = next(rows, (0, []))[1]
+    if len(delimiter) != 1:
+        raise ValueError(f"delimiter must be one character, got {delimiter!r}.")
+    SelfTuningFilter("qivbf", policy, LinearModel())  # says what is wrong with the policy
+    rows = ((number, line) for number, line in enumerate(lines, start=1) if line.strip())
+    header = _cells(next(rows, (0, ""))[1].removeprefix("\ufeff"), delimiter)
     measured = _checked_header(header)
+    clock = _Clock(LONGEST * noise.step)
     yield ",".join(COLUMNS)
     tuned: SelfTuningFilter | None = None
     reason: str | None = None
-    for number, cells in rows:
+    for number, line in rows:
         try:
-            time, y = _sample(header, cells, number, measured)
+            time, y = _sample(header, _cells(line, delimiter), number, measured)
+            clock.check(time)
             if tuned is None:
                 tuned = _started(time, y, measured, policy, noise)
             found = None if tuned is None else tuned.step(y, time=time)
+            clock.last = time
         except ValueError as error:
             notice(f"left out: {error}")
             continue
@@ -94,12 +102,38 @@ def estimates(
         yield _written(found)
 
 
-def _rows(lines: Iterable[str], delimiter: str) -> Iterator[tuple[int, list[str]]]:
-    """Number and stripped cells of each line that is not blank, as soon as it is there."""
-    for number, line in enumerate(lines, start=1):
-        if line.strip():
-            cells = next(csv.reader([line], delimiter=delimiter))
-            yield number, [cell.strip() for cell in cells]
+class _Clock:
+    """Times of a log, in which a single wrong one must not silence all that follow.
+
+    Args:
+        longest: s; a longer gap is doubted until the next line goes on from there.
+    """
+
+    def __init__(self, longest: float) -> None:
+        self.longest = longest
+        self.last: float | None = None  # time of the last line that was taken
+        self.doubted: float | None = None
+
+    def check(self, time: float) -> None:
+        """Raise ValueError for a time that is doubted."""
+        last, doubted = self.last, self.doubted
+        self.doubted = None
+        if last is None or time - last <= self.longest:
+            return
+        if doubted is None or not 0.0 < time - doubted <= self.longest:
+            self.doubted = time
+            raise ValueError(
+                f"time jumps from {last:g} to {time:g}: if the next line goes on from there, so will "
+                "the filter."
+            )
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    """Stripped cells of a line; ValueError for one that is no CSV."""
+    try:
+        return [cell.strip() for cell in next(csv.reader([line.strip()], delimiter=delimiter), [])]
+    except csv.Error as error:
+        raise ValueError(f"{line!r} is no line of a CSV file: {error}.") from error
 
 
 def _checked_header(header: Sequence[str]) -> list[str]:

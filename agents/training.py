@@ -15,7 +15,7 @@ from agents.checkpoints import Checkpoint, Report
 from agents.configuration import Configuration
 from agents.policy import Policy
 from agents.record import Mark, versions
-from navgym._atomic import replacing
+from navgym._atomic import replacing, writable_folder
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,7 @@ def train(
     """
     from agents.trainer import Trainer
 
-    folder = config.folder
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = writable_folder("out", config.folder)
     kept = None
     if fresh:
         checkpoints.clear(folder / "checkpoints")

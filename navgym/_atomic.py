@@ -33,3 +33,18 @@ def replacing(path: Path, text: bool = False) -> Iterator[IO[Any]]:
     except BaseException:
         draft.unlink(missing_ok=True)
         raise
+
+
+def writable_folder(name: str, path: Path) -> Path:
+    """Make a folder if need be; ValueError, naming the field, where no file can be written to it."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        draft = path / f".{secrets.token_hex(8)}.tmp"
+        draft.touch()
+        draft.unlink()
+    except OSError as error:
+        raise ValueError(
+            f"{name} must be a folder that can be written to, got {str(path)!r} ({error.strerror}): "
+            "name another."
+        ) from error
+    return path

@@ -31,7 +31,7 @@ def parse() -> argparse.Namespace:
     add("--velocity-noise", type=float, default=0.1, help="std of a velocity, m/s (%(default)s)")
     add("--acceleration", type=float, default=0.1, help="std of the vehicle's, m/s² (%(default)s)")
     add("--step", type=float, default=1.0, help="usual step between samples, s (%(default)s)")
-    add("--delimiter", default=",", help="between cells (a comma)")
+    add("--delimiter", default=",", help="between cells (a comma); \\t: a tab")
     return parser.parse_args()
 
 
@@ -43,6 +43,8 @@ def notice(text: str) -> None:
 def main() -> int:
     """Filter standard input; returns the exit status."""
     options = parse()
+    # a broken byte spoils its line, not the stream
+    sys.stdin.reconfigure(errors="replace")  # type: ignore[union-attr]
     from agents import Policy
     from agents.live_csv import Noise, estimates
 
@@ -51,7 +53,8 @@ def main() -> int:
         noise = Noise(
             options.position_noise, options.velocity_noise, options.acceleration, options.step
         )
-        for line in estimates(sys.stdin, policy, noise, notice, options.delimiter):
+        delimiter = options.delimiter.replace("\\t", "\t")
+        for line in estimates(sys.stdin, policy, noise, notice, delimiter):
             print(line, flush=True)
     except BrokenPipeError:  # whoever read the estimates has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -94,6 +94,20 @@ def test_an_interval_that_touches_zero_is_not_better(bench):
     assert not [s for s in failures([bench]) if s.startswith("good")]
 
 
+def test_a_policy_answers_for_every_scenario_that_is_named():
+    """The one that it was trained on does not stand in for the others."""
+    trained = steady(overrides={})
+    (found,) = benches({"p": trained}, scenarios=("auv/nominal", "auv/heavy"))
+    assert [v.condition for v in found.verdicts] == ["nominal", "heavy"]
+
+
+def test_a_policy_of_an_unknown_environment_is_refused():
+    policy = good()
+    object.__setattr__(policy.manifest, "environment", "navgym/AUVDropout-v9")
+    with pytest.raises(ValueError, match=r"environment of policy 'p'.*AUVDropout-v9"):
+        benches({"p": policy})
+
+
 def test_a_policy_that_diverges_is_not_better_and_has_no_gain():
     bad = hand_made.policy(AUV, "auv/switch-D", {(0, "bias"): -1.0}, overrides={"steps": 300})
     (found,) = benches({"bad": bad})

@@ -8,10 +8,11 @@ import pytest
 
 import navgym
 from agents.live_csv import Noise, estimates
-from agents.rollout import AUV
+from agents.rollout import AUV, DECK
 from navgym.csv_log import write_csv
 from navgym.envs.auv import AUVDropoutEnv
 from navgym.simulation import find_scenario
+from tests.agents import hand_made
 from tests.agents.live import some_policy
 
 
@@ -75,8 +76,12 @@ class TestTheScript:
 
 def run(policy, text):
     """Answers to the lines of a log, and what was said beside them."""
+    return run_lines(policy, text.splitlines())
+
+
+def run_lines(policy, lines):
     said = []
-    return list(estimates(text.splitlines(), policy, Noise(), said.append)), said
+    return list(estimates(lines, policy, Noise(), said.append)), said
 
 
 class TestLines:
@@ -93,6 +98,35 @@ class TestLines:
         wanted = ("line 3, column 'px'", "line 4: 2 cells", "time must be finite and increase")
         assert len(said) == 3
         assert all(text in line for text, line in zip(wanted, said, strict=True))
+
+    def test_a_wrong_time_far_ahead_silences_nothing(self, policy):
+        log = "time,px,py\n1,1,1\n2,2,2\n99999999,3,3\n4,4,4\n5,5,5\n"
+        answers, said = run(policy, log)
+        assert [line.split(",")[0] for line in answers[1:]] == ["1", "2", "4", "5"]
+        assert len(said) == 1
+        assert "time jumps from 2 to 1e+08" in said[0]
+
+    def test_a_long_gap_is_believed_when_the_next_line_confirms_it(self, policy):
+        log = "time,px,py\n1,1,1\n2,2,2\n9001,3,3\n9002,4,4\n9003,5,5\n"
+        answers, said = run(policy, log)
+        assert [line.split(",")[0] for line in answers[1:]] == ["1", "2", "9002", "9003"]
+        assert len([text for text in said if "left out" in text]) == 1
+
+    def test_a_line_that_is_no_csv_is_left_out(self, policy):
+        answers, said = run_lines(policy, ["time,px,py", "1,1,1", "2\r,1,1", "3,1,1"])
+        assert [line.split(",")[0] for line in answers[1:]] == ["1", "3"]
+        assert "is no line of a CSV file" in said[0]
+
+    def test_a_byte_order_mark_is_no_part_of_the_header(self, policy):
+        answers, _ = run(policy, "\ufefftime,px,py\n1,1,1\n")
+        assert len(answers) == 2
+
+    def test_a_policy_of_another_filter_and_a_long_delimiter_are_refused_at_once(self, policy):
+        deck = hand_made.policy(DECK, "deck/switch-60")
+        with pytest.raises(ValueError, match="sets the parameters of idam"):
+            run(deck, "time,px,py\n1,1,1\n")
+        with pytest.raises(ValueError, match="delimiter must be one character"):
+            list(estimates([], policy, Noise(), print, "::"))
 
     @pytest.mark.parametrize(
         ("header", "message"),
