@@ -16,6 +16,7 @@ from tqdm import tqdm
 
 from agents.combiner import BANK, Combiner
 from agents.combiner_material import CombinerConfiguration
+from agents.command import STOPPED
 from navgym._atomic import replacing
 from navgym._checks import positive_int
 from navgym.metrics import paired_difference, run_rmse
@@ -71,13 +72,14 @@ def main() -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("\nstopped: the same command goes on from the last checkpoint", file=sys.stderr)
+        print(STOPPED, file=sys.stderr)
         return 130
 
 
 def _obey(command: Command) -> int:
     config = command.configuration
     if command.evaluate:
+        config = dataclasses.replace(config, out=config.out or Path("runs/combiner/report"))
         chosen = {str(path): Combiner.load(path) for path in command.evaluate}
     else:
         from agents.combiner_training import train

@@ -144,12 +144,17 @@ def train(
     if fresh:
         checkpoints.clear(config.folder / "checkpoints")
     else:
-        kept = checkpoints.to_continue(config.folder, config.comparable(), report)
+        kept = checkpoints.to_continue(config.folder, _comparable(config), report)
     trainer = Trainer(config, report, command)
     if kept is not None:
         trainer.take_up(kept)
     trainer.run()
     return trainer.finish()
+
+
+def _comparable(config: CombinerConfiguration) -> dict[str, Any]:
+    """What a checkpoint must agree on to be gone on from: the configuration, and the bank."""
+    return config.comparable() | {"bank": bank_facts()}
 
 
 class Trainer:
@@ -251,7 +256,7 @@ class Trainer:
             "best": self.best_layers,
         }
         facts = {
-            "configuration": self.config.comparable(), "done": self.done, "best": self.best,
+            "configuration": _comparable(self.config), "done": self.done, "best": self.best,
         }  # fmt: skip
         checkpoints.save(self.config.folder / "checkpoints", self.done, Checkpoint(arrays, facts))
 

@@ -32,6 +32,9 @@ policy; `python scripts/evaluate.py OUT/policy.npz` then says what it is worth o
 """
 
 
+STOPPED = "\nstopped: the same command, without --fresh, goes on from the last checkpoint"
+
+
 @dataclass(frozen=True)
 class Command:
     """What was asked for."""
@@ -44,6 +47,8 @@ class Command:
 
     def __post_init__(self) -> None:
         positive_int("search", self.search, least=0)
+        if self.search and self.fresh:
+            raise ValueError("--fresh is for a training; a search begins anew in another --out.")
 
 
 def parse(words: Sequence[str]) -> Command:
@@ -76,7 +81,7 @@ def main() -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("\nstopped: the same command goes on from the last checkpoint", file=sys.stderr)
+        print(STOPPED, file=sys.stderr)
         return 130
 
 
@@ -104,7 +109,7 @@ def _search(command: Command) -> int:
     with replacing(path, text=True) as file:
         file.write(replace(best, out=None).to_toml())
     first = found.trials[0]
-    print(f"score {1 - first.result:.4f} with the recipe given, {1 - found.best.result:.4f} with")
+    print(f"score {1 - first.result:.4f} with the first recipe, {1 - found.best.result:.4f} with")
     for name, value in found.best.values.items():
         print(f"  {name} = {value:.4g}")
     print(f"next: python scripts/train.py {path} --out {config.folder / 'best'}")

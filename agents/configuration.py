@@ -22,6 +22,8 @@ from tyro.constructors import PrimitiveConstructorSpec
 from agents.randomisation import AUVRanges, DeckRanges, Ranges
 from navgym._checks import one_of, positive_int, within
 from navgym.envs import ENVIRONMENTS
+from navgym.envs.deck_engine import DeckSettings
+from navgym.envs.engine import Settings
 from navgym.simulation import find_scenario
 from tuning import declared
 
@@ -47,6 +49,7 @@ Table = Annotated[
 ]
 Algorithm = Literal["ppo", "sac", "tqc", "recurrent_ppo"]
 AUV, DECK = tuple(ENVIRONMENTS)
+_SETTINGS: Mapping[str, type] = {AUV: Settings, DECK: DeckSettings}
 
 
 @dataclass(frozen=True)
@@ -142,7 +145,7 @@ class Configuration:
     reward: str = "difference"
     """the environment's reward"""
     arguments: Table = field(default_factory=dict)
-    """further arguments of the environment, as JSON: '{"features": "gyro"}'"""
+    """further arguments of the environment, as JSON: '{"features": "gyro"}' (deck)"""
     randomise: bool = False
     """draw the conditions of each recording anew: a policy for any sea instead of a specialist"""
     auv_ranges: AUVRanges = field(default_factory=AUVRanges)
@@ -200,6 +203,15 @@ class Configuration:
             {*self.arguments} & (taken | {"split", "pool", "recordings", "reference"})
         ):
             raise ValueError(f"arguments must not hold {name!r}: it has a field of its own.")
+        known = {f.name for f in dataclasses.fields(_SETTINGS[self.environment])}
+        for name in self.arguments:
+            one_of(f"argument of {self.environment}:", name, known)
+        decisions = self.lanes * self.recipe.steps
+        if "ppo" in self.algorithm and not 1 < self.recipe.batch <= decisions:
+            raise ValueError(
+                f"recipe.batch must be from 2 to lanes x recipe.steps = {decisions}, got "
+                f"{self.recipe.batch}: an update has no more decisions."
+            )
         object.__setattr__(self, "out", None if self.out is None else Path(self.out))
 
     @property

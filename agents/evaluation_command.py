@@ -38,7 +38,7 @@ ABOUT = """Is a policy better than the simpler ways of choosing parameters, and 
 
 Everybody runs on the same fresh recordings (test seeds): fixed parameters, rules, filters that need no
 parameters, bounds that know the truth, and the policies, alone and with their fallback. First the
-conditions that a policy was trained for, then shifted ones, scenarios that it was not trained on,
+scenarios that a policy was trained on, as designed (also where its training drew conditions anew), then shifted ones, scenarios that it was not trained on,
 and real AUV tracks, where the A-KIT data are at hand. Prints the tables; writes report.html (open it
 in a browser) and results.json to --out. The same command gives the same numbers, times excepted.
 

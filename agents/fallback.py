@@ -17,7 +17,7 @@ from navgym.metrics.consistency import nis_band
 class FallbackRule:
     """Two reasons to leave a policy for the best fixed parameters, and what it takes to return.
 
-    *Range*: an element of the observation lies further outside what training saw than `margin`
+    *Range*: an element of the observation lies further outside what validation saw than `margin`
     allows. *NIS*: the mean NIS over the last `window` decisions lies outside the chi-square band
     that holds `confidence` of such means, and over the same samples the filter with the best fixed
     parameters, which runs beside, has foretold the measurements better by `advantage`. Without
@@ -121,7 +121,7 @@ class Guard:
         i = int(np.argmax(outside))
         low, high = (float(bound[i]) for bound in self._trained)
         return (
-            f"observation {self._names[i]} is {observation[i]:.3g}, and training saw "
+            f"observation {self._names[i]} is {observation[i]:.3g}, and validation saw "
             f"{low:.3g} to {high:.3g}"
         )
 

@@ -45,7 +45,6 @@ def learner(config: Configuration, env: VecNormalize) -> BaseAlgorithm:
 
     Raises:
         ModuleNotFoundError: sb3-contrib is needed and missing.
-        ValueError: a batch larger than what an update collects.
     """
     import torch
 
@@ -79,11 +78,6 @@ def schedule(config: Configuration) -> Callable[[float], float]:
 
 def _on_policy(config: Configuration) -> dict[str, Any]:
     recipe = config.recipe
-    if recipe.batch > recipe.steps * config.lanes:
-        raise ValueError(
-            f"recipe.batch must not exceed recipe.steps x lanes = {recipe.steps * config.lanes}, got "
-            f"{recipe.batch}: an update collects no more decisions than that."
-        )
     kwargs: dict[str, Any] = {
         "net_arch": list(recipe.hidden),
         "log_std_init": recipe.log_std_init,

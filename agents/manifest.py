@@ -47,6 +47,9 @@ class Manifest:
         object.__setattr__(self, "observation_names", tuple(self.observation_names))
         for name in ("settings", "reference", "training"):
             object.__setattr__(self, name, writable(getattr(self, name)))
+        for name in ("scenario", "action_parameters"):
+            if name not in self.settings:
+                raise ValueError(f"settings lack {name!r}: the file is damaged, save it again.")
         if self.space != self.whole_space.fingerprint:
             raise ValueError(
                 f"the policy was made for parameter space {self.space} of {self.filter}, and this "

@@ -59,7 +59,7 @@ class Policy:
         manifest: what it reads, what it sets, where it comes from.
         layers: weights (out, in) and biases (out,), first to last.
         normalisation: of observations; None: none.
-        low: (n,) smallest raw observation seen in training; None: the environment's bound.
+        low: (n,) smallest raw observation seen in validation; None: the environment's bound.
         high: (n,) largest one.
         activation: between layers, "tanh" or "relu".
         squash: whether a tanh follows the last layer; else its output is clipped.
@@ -176,7 +176,11 @@ class Policy:
         header, arrays = portable.read(path, KIND, wanted)
         try:
             return cls.of_parts(header, arrays)
-        except (KeyError, TypeError, ValueError) as error:
+        except KeyError as error:
+            raise ValueError(f"{portable.pair(path)[0]} is damaged: it lacks {error}.") from error
+        except TypeError as error:
+            raise ValueError(f"{portable.pair(path)[0]} is damaged: {error}.") from error
+        except ValueError as error:
             raise ValueError(f"{portable.pair(path)[0]}: {error}") from error
 
     @classmethod
@@ -231,7 +235,7 @@ class Policy:
             model: trained by PPO, A2C, SAC, TQC, TD3 or DDPG with a plain `MlpPolicy`.
             normalisation: the `VecNormalize` that it was trained behind, or None.
             manifest: what to write beside it.
-            low: (n,) smallest raw observation seen in training.
+            low: (n,) smallest raw observation seen in validation.
             high: (n,) largest one.
 
         Raises:

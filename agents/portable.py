@@ -1,6 +1,7 @@
 """The portable format of learned things: NAME.npz with arrays, NAME.json with what they are for.
 
-Both are written whole or not at all and carry a hash that ties them together; neither is unpickled.
+Each is written whole or not at all, the arrays first, and a hash of the arrays ties them together: what
+is interrupted between the two is noticed, and must be saved again. Neither is unpickled.
 """
 
 from __future__ import annotations

@@ -109,7 +109,8 @@ class Trainer:
         """Of a learner that remembers: its own file, and how it normalises observations."""
         folder = self.config.folder
         self.model.set_parameters(checkpoints.unpacked(best.arrays["networks"]))
-        self.model.save(folder / "model.zip")
+        with replacing(folder / "model.zip") as file:
+            self.model.save(file)  # type: ignore[arg-type]
         recipe = self.config.recipe
         with replacing(folder / "normalisation.npz") as file:
             np.savez(

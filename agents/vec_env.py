@@ -104,6 +104,7 @@ class LaneVecEnv(VecEnv):
         if self._actions is None or not self._seeded:
             raise RuntimeError("call reset(), then step(actions).")
         out = self.engine.step(self._actions, self._observations)
+        self._actions = None
         self._outcomes = out.copy()
         self._steps += 1
         over = out[:, TERMINATED] > 0.0

@@ -67,7 +67,7 @@ def _made(kind: Any, values: Mapping[str, Any], where: str) -> Any:
     hints = typing.get_type_hints(kind)
     known = [f.name for f in dataclasses.fields(kind)]
     for name in values:
-        one_of("field", name, known)
+        one_of(f"field of {where.rstrip('.')}:" if where else "field", name, known)
     return kind(
         **{name: _value(hints[name], each, f"{where}{name}") for name, each in values.items()}
     )

@@ -67,7 +67,7 @@ class TestConfiguration:
             ('lanes = "many"', "lanes must be of type int, got 'many'"),
             ("lanes = true", "lanes must be of type int, got True"),
             ("recipe = 3", "recipe must be a table"),
-            ("[recipe]\ngama = 1.0", r"unknown field 'gama'\. Did you mean 'gamma'"),
+            ("[recipe]\ngama = 1.0", r"unknown field of recipe: 'gama'\. Did you mean 'gamma'"),
             ("[recipe]\ngamma = 1.5", r"recipe\.gamma must be a number in 0\.\.1, got 1\.5"),
             ('scenarios = "auv/switch-D"', "scenarios must be a list"),
             ('algorithm = "dqn"', "unknown algorithm 'dqn'"),
@@ -90,6 +90,8 @@ class TestConfiguration:
             ({"arguments": {"reward": "absolute"}}, "must not hold 'reward'"),
             ({"validation": 1}, "validation must be a whole number of at least 2"),
             ({"memory": 0.0}, "memory must be"),
+            ({"arguments": {"foo": 1}}, "unknown argument of navgym/AUVDropout-v0: 'foo'"),
+            ({"lanes": 4}, r"recipe\.batch must be from 2 to lanes x recipe\.steps = 256"),
         ],
     )
     def test_wrong_values_are_refused(self, changes, message):
@@ -133,7 +135,7 @@ def test_ctrl_c_leaves_a_usable_policy_and_a_hint(tmp_path, monkeypatch, capsys)
     monkeypatch.setattr("agents.training.train", interrupted)
     monkeypatch.setattr(sys, "argv", ["train.py", str(tmp_path / "in.toml")])
     assert command.main() == 130
-    assert "the same command goes on" in capsys.readouterr().err
+    assert "without --fresh, goes on" in capsys.readouterr().err
     assert Policy.load(tmp_path / "policy").manifest.environment == "navgym/AUVDropout-v0"
 
 

@@ -217,7 +217,7 @@ class TestFallback:
         assert fallen[165:200].all()
         assert not fallen[-20:].any()
         assert found[170].fallback.startswith("observation ")
-        assert "training saw" in found[170].fallback
+        assert "validation saw" in found[170].fallback
         assert tuned.fallbacks >= 1
         assert 0 < tuned.fallback_decisions < tuned.decisions
 
