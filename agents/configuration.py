@@ -20,10 +20,9 @@ from typing import Annotated, Any, Literal
 from tyro.constructors import PrimitiveConstructorSpec
 
 from agents.randomisation import AUVRanges, DeckRanges, Ranges
+from agents.rollout import AUV, DECK, ENGINES
 from navgym._checks import one_of, positive_int, within
 from navgym.envs import ENVIRONMENTS
-from navgym.envs.deck_engine import DeckSettings
-from navgym.envs.engine import Settings
 from navgym.simulation import find_scenario
 from tuning import declared
 
@@ -48,8 +47,6 @@ Table = Annotated[
     ),
 ]
 Algorithm = Literal["ppo", "sac", "tqc", "recurrent_ppo"]
-AUV, DECK = tuple(ENVIRONMENTS)
-_SETTINGS: Mapping[str, type] = {AUV: Settings, DECK: DeckSettings}
 
 
 @dataclass(frozen=True)
@@ -203,7 +200,7 @@ class Configuration:
             {*self.arguments} & (taken | {"split", "pool", "recordings", "reference"})
         ):
             raise ValueError(f"arguments must not hold {name!r}: it has a field of its own.")
-        known = {f.name for f in dataclasses.fields(_SETTINGS[self.environment])}
+        known = {f.name for f in dataclasses.fields(ENGINES[self.environment][1])}
         for name in self.arguments:
             one_of(f"argument of {self.environment}:", name, known)
         decisions = self.lanes * self.recipe.steps

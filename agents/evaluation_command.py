@@ -30,7 +30,7 @@ DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "akit"
 
 ABOUT = """Is a policy better than the simpler ways of choosing parameters, and where?
 
-  python scripts/evaluate.py                             the policies of agents/pretrained
+  python scripts/evaluate.py                             the policies of agents/pretrained, in 10 to 25 minutes
   python scripts/evaluate.py runs/mine/policy.npz        one's own; name several to compare them
   python scripts/evaluate.py A.npz B.npz --runs 200
   python scripts/evaluate.py A.npz --scenario auv/switch-B

@@ -131,7 +131,10 @@ class _Clock:
 def _cells(line: str, delimiter: str) -> list[str]:
     """Stripped cells of a line; ValueError for one that is no CSV."""
     try:
-        return [cell.strip() for cell in next(csv.reader([line.strip()], delimiter=delimiter), [])]
+        return [
+            cell.strip()
+            for cell in next(csv.reader([line.rstrip("\r\n")], delimiter=delimiter), [])
+        ]
     except csv.Error as error:
         raise ValueError(f"{line!r} is no line of a CSV file: {error}.") from error
 

@@ -18,6 +18,7 @@ from navgym.batch import Batch
 from navgym.estimation import run
 from navgym.filters import combiner as kernels
 from navgym.filters.bank import BANK
+from navgym.metrics import run_rmse
 from navgym.scenarios.auv import Loss
 from navgym.simulation import simulate_many
 from tests.helpers import identical, run_bank
@@ -340,6 +341,13 @@ def test_damaged_files_are_refused(tmp_path):
 
 
 # ---- the one that is shipped
+
+
+@pytest.mark.parametrize(("scenario", "least"), [("auv/switch-D", 0.0), ("auv/switch-B", 0.01)])
+def test_the_shipped_one_beats_the_bank_on_fresh_seeds(trained, scenario, least):
+    cases = Cases.simulated(scenario, "test", 40, start=5000)
+    own = run_rmse(cases.squared(trained.run(cases.batch)["states"])).mean()
+    assert own < (1.0 - least) * cases.errors("bank")[0].mean()
 
 
 @pytest.mark.parametrize(("scenario", "left"), [("auv/switch-D", 0.9), ("auv/switch-B", 0.85)])

@@ -117,6 +117,13 @@ class TestLines:
         assert [line.split(",")[0] for line in answers[1:]] == ["1", "3"]
         assert "is no line of a CSV file" in said[0]
 
+    def test_a_tab_at_the_end_of_a_line_is_an_empty_cell(self, policy):
+        said = []
+        log = ["time\tpx\tpy\n", "1\t1\t1\n", "2\t2\t\r\n"]
+        answers = list(estimates(log, policy, Noise(), said.append, "\t"))
+        assert [line.split(",")[0] for line in answers[1:]] == ["1", "2"]
+        assert not said
+
     def test_a_byte_order_mark_is_no_part_of_the_header(self, policy):
         answers, _ = run(policy, "\ufefftime,px,py\n1,1,1\n")
         assert len(answers) == 2
