@@ -85,8 +85,8 @@ def begin(lanes: NDArray[Any], records: NDArray[Any], parameters: NDArray[Any]) 
 def _by_model(linear: Callable[..., None], turning: Callable[..., None]) -> Callable[..., None]:
     """A function for kernels that compiles to `linear` or to `turning`, by its `model`'s record."""
 
-    def function(lane, model, i):
-        raise NotImplementedError("for compiled kernels only")
+    def function(lane, model, i):  # where nothing is compiled
+        (turning if hasattr(model, "beacon") else linear)(lane, model, i)
 
     @overload(function, jit_options={"error_model": "numpy", "nogil": True, "forceinline": True})
     def choose(lane, model, i):
