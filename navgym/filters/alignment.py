@@ -27,6 +27,7 @@ from navgym.deck_model import DeckModel, lever_matrix
 from navgym.dual_imu import DualIMURecording
 from navgym.filters.mechanization import filled
 from navgym.flexure import FlexureModel
+from navgym.inertial.strapdown import matrix
 
 STATES, MEASUREMENTS = 24, 6
 L, DV, PHI, EPS, NABLA, VR, THETA, RATE = range(0, 24, 3)  # first state of each triple
@@ -170,20 +171,6 @@ def begin(lanes: NDArray[Any], models: NDArray[Any], rows: Array) -> None:
     lanes["B"][:, :, :3] = np.cross(w[:, None, :], lever.transpose(0, 2, 1)).transpose(0, 2, 1)
     lanes["B"][:, :, 3:] = lever
     lanes["length"] = 2**62
-
-
-@part
-def matrix(q, C):
-    """Rotation matrix of a unit quaternion, scalar first."""
-    C[0, 0] = 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3])
-    C[0, 1] = 2.0 * (q[1] * q[2] - q[0] * q[3])
-    C[0, 2] = 2.0 * (q[1] * q[3] + q[0] * q[2])
-    C[1, 0] = 2.0 * (q[1] * q[2] + q[0] * q[3])
-    C[1, 1] = 1.0 - 2.0 * (q[1] * q[1] + q[3] * q[3])
-    C[1, 2] = 2.0 * (q[2] * q[3] - q[0] * q[1])
-    C[2, 0] = 2.0 * (q[1] * q[3] - q[0] * q[2])
-    C[2, 1] = 2.0 * (q[2] * q[3] + q[0] * q[1])
-    C[2, 2] = 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2])
 
 
 @part
