@@ -24,7 +24,7 @@ from navgym.envs.base import (
     TRUNCATED,
 )
 from navgym.filters import alignment
-from navgym.filters.alignment import MEASUREMENTS, RATE, STATES, THETA
+from navgym.filters.alignment import AT, MEASUREMENTS, STATES
 from navgym.filters.mechanization import disturb, mechanize_step
 from navgym.flexure import ARCMIN
 
@@ -98,7 +98,7 @@ def watch(station, lane, model):
             station.mean[g, 5] += (1.0 - DECAYS[1]) * (1.0 - weight / count - station.mean[g, 5])
     motion = 0.0
     for a in range(3):
-        motion += (lane.x[RATE + a] / model.start[RATE + a]) ** 2 / 3.0
+        motion += (lane.x[AT.RATE + a] / model.start[AT.RATE + a]) ** 2 / 3.0
     for d in range(SEA):
         station.sea[d] += (1.0 - SEA_DECAYS[d]) * (min(motion, 1e6) - station.sea[d])
 
@@ -109,8 +109,8 @@ def score(station, lane, tape, dt, out):
     keep = math.exp(-dt / MEAN_SECONDS)
     out[0], out[1], out[2] = 0.0, 0.0, 0.0
     for a in range(3):
-        rate = (lane.x[RATE + a] - tape.theta_rate[a]) / ARCMIN
-        theta = (lane.x[THETA + a] - tape.theta[a]) / ARCMIN
+        rate = (lane.x[AT.RATE + a] - tape.theta_rate[a]) / ARCMIN
+        theta = (lane.x[AT.THETA + a] - tape.theta[a]) / ARCMIN
         station.drift[a] = keep * station.drift[a] + (1.0 - keep) * theta
         out[0] += rate * rate
         out[1] += (theta - station.drift[a]) ** 2

@@ -48,8 +48,8 @@ def estimate(
         everything: whether to return covariances and what belongs to each innovation.
 
     Returns:
-        Arrays (N, K, ...): states; with `everything` also `wide` (see `alignment.run`) and
-        covariances; `diverged` (N,); `flexures`, a list of `Identified` per recording.
+        Arrays (N, K, ...): states; with `everything` also `report` (records `alignment.REPORT`)
+        and covariances; `diverged` (N,); `flexures`, a list of `Identified` per recording.
     """
     count, steps = batch.tapes.shape
     rows = np.ascontiguousarray(full_table(chosen.space, table))
@@ -66,7 +66,7 @@ def estimate(
     rest = steps if everything else 0
     outputs = {
         "states": np.full((count, steps, kernels.STATES), np.nan),
-        "wide": np.full((count, rest, 23), np.nan),
+        "report": np.full((count, rest), np.nan, kernels.REPORT),
         "covariances": np.full((count, rest, kernels.STATES, kernels.STATES), np.nan),
     }
     flexures: list[list[Identified]] = [[] for _ in range(count)]
@@ -192,7 +192,7 @@ def identify_lane(
     """
     from navgym.identification import identify, shrink
 
-    end, l = int(lane["k"]), lane["x"][:3].copy()  # noqa: E741
+    end, l = int(lane["k"]), lane["x"][kernels.L].copy()  # noqa: E741
     if not np.isfinite(l).all():
         return None
     frame = "body" if option.printed else "inertial"
