@@ -17,7 +17,7 @@ from navgym.envs.actions import LIMIT
 from navgym.envs.base import TERMINATED, LaneEngine, LaneSettings, Shelf
 from navgym.filters import alignment, spaces
 from navgym.filters.catalogue import Deck
-from navgym.filters.deck import identify_lane
+from navgym.filters.deck import columns_of, full_table, identify_lane
 from navgym.filters.mechanization import TAPE
 from navgym.flexure import FlexureModel
 from navgym.scenarios.deck import DeckScenario
@@ -73,16 +73,15 @@ class DeckEngine(LaneEngine):
     LIMIT: ClassVar[float] = LIMIT
 
     def _begin(self) -> None:
+        self._rule = rule_of(self.settings)
         self._filter_rule = np.zeros(1, alignment.RULE)
         self._filter_rule["iterations"] = 1
         self._filter_rule["judged"] = self.settings.reward == "likelihood"
 
     def _allocate(self, trail: bool) -> None:
-        s = self.settings
         self.lanes = np.zeros(self.count, alignment.LANE)
         self.models = np.repeat(self.shelf.models[:1], self.count, axis=0)
         self.stations = np.repeat(station_of(self._row(self.reference)), self.count)
-        self._rule = rule_of(s)
         longest = self.shelf.tapes.shape[1] if trail else 0
         self.trail = np.full(
             (self.count, longest, alignment.STATES + alignment.MEASUREMENTS), np.nan
@@ -136,13 +135,13 @@ class DeckEngine(LaneEngine):
         stations = np.concatenate([station_of(row) for row in rows])
         stations["which"], stations["length"] = np.arange(count), batch.lengths
         lanes, checkpoints = (np.zeros(count, alignment.LANE) for _ in range(2))
-        alignment.begin(lanes, models, stations["row"][:, : K.COLUMNS])
+        alignment.begin(lanes, models, full_table(self.space, stations["row"]))
         scores, means = np.zeros((count, steps, K.SCORES + 1)), np.zeros((count, K.SCORES))
         begun = stations.copy()
         checkpoints[...] = lanes
         K.rehearse(
-            lanes, stations, models, batch.tapes, self._filter_rule, self._starts(batch), checkpoints,
-            begun, scores, means,
+            lanes, stations, models, batch.tapes, self._filter_rule, self._rule, self._starts(batch),
+            checkpoints, begun, scores, means,
         )  # fmt: skip
         extra: dict[str, Any] = {
             "scores": scores,
@@ -173,7 +172,7 @@ class DeckEngine(LaneEngine):
             row = station["row"].copy()
             station[...] = station_of(row[0])
             station["which"], station["length"] = which, shelf.stations["length"][which]
-            alignment.begin(lane, self.models[i : i + 1], row[:, : K.COLUMNS])
+            alignment.begin(lane, self.models[i : i + 1], full_table(self.space, row))
         if start:
             rule = self._rule.copy()
             rule["interval"] = start
@@ -249,6 +248,7 @@ def rule_of(settings: DeckSettings) -> NDArray[Any]:
     """The kernels' rule (1,)."""
     rule = np.zeros(1, K.RULE)
     rule["interval"] = settings.decision_interval
+    rule["columns"] = columns_of(settings.SPACE)
     rule["kind"] = settings.REWARDS.index(settings.reward)
     rule["clip"], rule["ac_weight"] = settings.reward_clip, settings.ac_weight
     rule["theta_price"] = settings.theta_price

@@ -17,6 +17,7 @@ from navgym.envs.base import TALLY
 from navgym.envs.deck_engine import DeckSettings, observation_names, rule_of, station_of
 from navgym.envs.live import LiveLane, flags, pooled
 from navgym.filters import alignment
+from navgym.filters.deck import full_table
 from navgym.filters.mechanization import TAPE, begin_lever
 
 FIRST = 3  # samples that the rate at the start is extrapolated from
@@ -68,6 +69,7 @@ class LiveDeck(LiveLane):
         self._filled = np.zeros(K.HISTORY + per, dtype=np.bool_)
         self._moving = np.zeros((5, 4))
         self._disturbance = np.zeros(6)
+        self._own_row = full_table(settings.SPACE, self.reference)
         self._rule, self._lever = rule_of(settings), np.array(model.lever_arm)
         self._arguments = (
             self.lanes, self.stations, self._model, self._tape, judged, self._rule,
@@ -110,7 +112,7 @@ class LiveDeck(LiveLane):
         begin_lever(  # type: ignore[no-untyped-call]
             first, self._lever, self.interval, self._moving[K.LEVER]
         )
-        alignment.begin(self.lanes, self._model[None], self.reference[: K.COLUMNS])
+        alignment.begin(self.lanes, self._model[None], self._own_row)
         self._samples[:, : K.HISTORY] = self._pending[0][0][:, None]
         self._started = True
 
@@ -201,7 +203,7 @@ class LiveDeck(LiveLane):
         self._samples[:, : K.HISTORY] = self._samples[:, -K.HISTORY :].copy()
         if failed == 3:
             self._begin()
-            alignment.begin(self.lanes, self._model[None], self.reference[: K.COLUMNS])
+            alignment.begin(self.lanes, self._model[None], self._own_row)
         elif failed:
             self._heal(failed)
         return failed

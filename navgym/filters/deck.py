@@ -88,12 +88,17 @@ def rule_of(option: Deck, judged: bool) -> NDArray[Any]:
 
 
 def full_table(space: ParameterSpace, table: Array) -> Array:
-    """`table` (·, ·, parameters) in the kernel's columns; those not exposed are off."""
-    found = np.broadcast_to(kernels.OFF, (*table.shape[:2], len(kernels.OFF))).copy()
-    for column, name in enumerate(kernels.COLUMNS):
-        if name in space.names:
-            found[..., column] = table[..., space.index(name)]
+    """`table` (..., parameters) of a space in the kernel's columns; those not exposed are off."""
+    where = columns_of(space)
+    found = np.broadcast_to(kernels.OFF, (*table.shape[:-1], len(kernels.OFF))).copy()
+    found[..., where >= 0] = table[..., where[where >= 0]]
     return found
+
+
+def columns_of(space: ParameterSpace) -> NDArray[np.int64]:
+    """Where each of the kernel's columns stands in a space; -1 where it is not exposed."""
+    names = space.names
+    return np.array([names.index(c) if c in names else -1 for c in kernels.COLUMNS])
 
 
 def printed_models(recording: Any, flexure: FlexureModel | None = None) -> NDArray[Any]:
