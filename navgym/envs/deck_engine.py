@@ -15,7 +15,7 @@ from navgym.dual_imu import DualIMURecording
 from navgym.envs import deck_kernels as K
 from navgym.envs.actions import LIMIT
 from navgym.envs.base import TERMINATED, LaneEngine, LaneSettings, Shelf
-from navgym.filters import alignment, spaces
+from navgym.filters import alignment, alignment_model, spaces
 from navgym.filters.catalogue import Deck
 from navgym.filters.deck import columns_of, full_table, identify_lane
 from navgym.filters.mechanization import TAPE
@@ -102,7 +102,7 @@ class DeckEngine(LaneEngine):
 
     def _empty_shelf(self, lanes: int) -> Shelf:
         longest = max(s.samples // s.samples_per_step for s in self._scenarios)
-        models = np.zeros((lanes, 1), alignment.MODEL)
+        models = np.zeros((lanes, 1), alignment_model.MODEL)
         return Shelf(
             tapes=np.zeros((lanes, longest), TAPE),
             models=models,
@@ -131,7 +131,7 @@ class DeckEngine(LaneEngine):
                 "use reward='likelihood'."
             )
         count, steps = batch.tapes.shape
-        models = np.stack([alignment.pack(r) for r in batch.recordings])
+        models = np.stack([alignment_model.pack(r) for r in batch.recordings])
         stations = np.concatenate([station_of(row) for row in rows])
         stations["which"], stations["length"] = np.arange(count), batch.lengths
         lanes, checkpoints = (np.zeros(count, alignment.LANE) for _ in range(2))
@@ -209,7 +209,7 @@ class DeckEngine(LaneEngine):
                 {"rvm_kernel_scale": float(station["row"][SCALE])},
             )  # fmt: skip
             if found is not None:
-                alignment.write_flexure(self.models[i, 0], found)
+                alignment_model.write_flexure(self.models[i, 0], found)
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """See `LaneEngine`; lanes that identify hold models of their own."""

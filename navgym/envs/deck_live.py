@@ -16,7 +16,7 @@ from navgym.envs import deck_kernels as K
 from navgym.envs.base import TALLY
 from navgym.envs.deck_engine import DeckSettings, observation_names, rule_of, station_of
 from navgym.envs.live import LiveLane, flags, pooled
-from navgym.filters import alignment
+from navgym.filters import alignment, alignment_model
 from navgym.filters.deck import full_table
 from navgym.filters.mechanization import TAPE, begin_lever
 
@@ -62,7 +62,7 @@ class LiveDeck(LiveLane):
         per = model.samples_per_step
         self._memory, parts = pooled((alignment.LANE, 2), (K.STATION, 2), (np.float64, TALLY))
         self.lanes, self.stations, self.tally = parts
-        self._model, self._tape = np.zeros(1, alignment.MODEL), np.zeros(1, TAPE)
+        self._model, self._tape = np.zeros(1, alignment_model.MODEL), np.zeros(1, TAPE)
         judged = np.zeros(1, alignment.RULE)
         judged["iterations"] = judged["judged"] = 1
         self._samples = np.zeros((4, K.HISTORY + per, 3))
@@ -108,7 +108,7 @@ class LiveDeck(LiveLane):
     def _start(self) -> None:
         """With the first samples known, put the filters at their start."""
         first = np.stack([sample[0] for sample, _ in self._pending[:FIRST]])
-        self._model[...] = alignment.pack_model(self.model, self.interval, first)
+        self._model[...] = alignment_model.pack_model(self.model, self.interval, first)
         begin_lever(  # type: ignore[no-untyped-call]
             first, self._lever, self.interval, self._moving[K.LEVER]
         )

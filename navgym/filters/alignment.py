@@ -14,7 +14,6 @@ and are judged by S by default (eq. 53).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -22,10 +21,6 @@ from numpy.typing import NDArray
 
 from navgym._checks import Array
 from navgym._compile import kernel, part
-from navgym.deck_model import DeckModel, lever_matrix
-from navgym.dual_imu import DualIMURecording
-from navgym.filters.mechanization import filled
-from navgym.flexure import FlexureModel
 from navgym.inertial import update
 from navgym.inertial.states import Layout, State
 from navgym.inertial.strapdown import matrix
@@ -56,22 +51,6 @@ OFF = np.array([50.0, 0.2, 1e6, 1.0])  # where a filter does not expose a column
 GAP_RATE, GAP_FORCE = 2e-3, 0.3  # errors of samples that were filled in: rad/s, m/s²
 
 f8, i8 = np.float64, np.int64
-MODEL = np.dtype(
-    [
-        ("dt", f8),
-        ("interval", f8),
-        ("transition", f8, (3, 2, 2)),
-        ("noise", f8, (3, 2, 2)),
-        ("gain", f8, (3, 2)),  # what a constant acceleration adds to (θ, θ̇) in a step
-        ("density", f8, (3,)),
-        ("lever", f8, (3, 3)),
-        ("gyro", f8),  # variance that a step adds to φ
-        ("accelerometer", f8),  # and to δV
-        ("rate", f8),  # variance of a rate difference
-        ("start", f8, (STATES,)),  # standard deviations at the start
-        ("omega", f8, (3,)),  # the main IMU's rate at the start
-    ]
-)
 RULE = np.dtype(
     [
         *update.RULE,
@@ -103,60 +82,6 @@ REPORT = np.dtype(  # what a step says beside its state
         ("innovation_variance", f8, (MEASUREMENTS,)),
     ]
 )
-
-
-def pack(
-    recording: DualIMURecording, flexures: Sequence[FlexureModel] | None = None
-) -> NDArray[Any]:
-    """What a lane believes: MODEL records, one per flexure model (the recording's by default)."""
-    first = filled(recording)[0][0][:3]
-    return pack_model(recording.model, recording.interval, first, flexures)
-
-
-def pack_model(
-    model: DeckModel, interval: float, first: Array, flexures: Sequence[FlexureModel] | None = None
-) -> NDArray[Any]:
-    """MODEL records without a recording.
-
-    Args:
-        model: what is believed.
-        interval: s between IMU samples.
-        first: (3, 3) rad, the main IMU's first three angle increments.
-        flexures: a record for each of these; the model's own by default.
-    """
-    chosen = [model.flexure] if flexures is None else list(flexures)
-    packed = np.zeros(len(chosen), MODEL)
-    dt = interval * model.samples_per_step
-    packed["dt"], packed["interval"] = dt, interval
-    packed["lever"] = lever_matrix(model.lever_arm)
-    packed["gyro"] = model.gyro_noise**2 * dt
-    packed["accelerometer"] = model.accelerometer_noise**2 * dt
-    packed["rate"] = model.rate_noise**2
-    packed["start"] = _start(model)
-    packed["omega"] = (11.0 * first[0] - 7.0 * first[1] + 2.0 * first[2]) / (6.0 * interval)
-    for record, flexure in zip(packed, chosen, strict=True):
-        write_flexure(record, flexure)
-    return packed
-
-
-def write_flexure(record: Any, flexure: FlexureModel) -> None:
-    """Put a flexure model into a MODEL record."""
-    dt = float(record["dt"])
-    record["transition"] = flexure.transition(dt)
-    record["noise"] = flexure.process_noise(dt)
-    record["gain"][:, 0] = (1.0 - record["transition"][:, 0, 0]) / flexure.stiffness
-    record["gain"][:, 1] = record["transition"][:, 0, 1]
-    record["density"] = flexure.noise_density
-    record["start"][THETA] = flexure.sigma
-    record["start"][RATE] = flexure.rate_sigma
-
-
-def _start(model: DeckModel) -> Array:
-    """Standard deviations at the start (SCIENCE B1)."""
-    each = (
-        model.misalignment, 1e-6, 1e-8, model.gyro_bias, model.accelerometer_bias, 1e-6, 0.0, 0.0,
-    )  # fmt: skip
-    return np.repeat(np.array(each), 3)
 
 
 def begin(lanes: NDArray[Any], models: NDArray[Any], rows: Array) -> None:
@@ -243,16 +168,6 @@ def move_rows(lane, model, tape):
             p, r = P[AT.THETA + a, j], P[AT.RATE + a, j]
             P[AT.THETA + a, j] = f00 * p + f01 * r
             P[AT.RATE + a, j] = f10 * p + f11 * r
-
-
-@part
-def transpose(lane):
-    """P ← Pᵀ."""
-    for i in range(STATES):
-        for j in range(i):
-            p = lane.P[i, j]
-            lane.P[i, j] = lane.P[j, i]
-            lane.P[j, i] = p
 
 
 @part
@@ -379,7 +294,7 @@ def step(lane, model, tape, rule, impulse, disturbance):
     lever_step(lane, model, tape)
     move_state(lane, model, tape)
     move_rows(lane, model, tape)
-    transpose(lane)
+    update.transpose(lane)
     move_rows(lane, model, tape)
     add_noise(lane, model, tape, rule, impulse)
     linearize(lane, tape)
@@ -434,7 +349,7 @@ def run(
 
     Args:
         lanes: (N,) as `begin` or an earlier run left them.
-        models: (N, M) MODEL records.
+        models: (N, M) records `alignment_model.MODEL`.
         tapes: (N, K).
         rules: (1,) RULE.
         table: (N or 1, intervals, 4) parameters; row k // interval holds in step k, the last to the end.

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from navgym._checks import Array
 from navgym.deck_batch import DeckBatch
 from navgym.filters import alignment as kernels
+from navgym.filters import alignment_model
 from navgym.filters.catalogue import Deck, Filter
 from navgym.flexure import FlexureModel
 from navgym.increments import increments_of, rodrigues
@@ -59,7 +60,7 @@ def estimate(
     elif option.truth:
         batch, models = _true_models(batch)
     else:
-        models = np.stack([kernels.pack(r) for r in batch.recordings])
+        models = np.stack([alignment_model.pack(r) for r in batch.recordings])
     lanes = np.zeros(count, kernels.LANE)
     kernels.begin(lanes, models, rows[:, 0])
     world = (batch.tapes, rule_of(option, everything), rows, interval, *_known_noise(batch, option))
@@ -105,7 +106,7 @@ def printed_models(recording: Any, flexure: FlexureModel | None = None) -> NDArr
     """MODEL records of the printed filter: damping 2b whatever was identified (eq. 76)."""
     given = recording.model.flexure if flexure is None else flexure
     b = np.sqrt(given.stiffness)
-    return kernels.pack(recording, [FlexureModel(2.0 * b, b**2, given.sigma)])
+    return alignment_model.pack(recording, [FlexureModel(2.0 * b, b**2, given.sigma)])
 
 
 def _true_models(batch: DeckBatch) -> tuple[DeckBatch, NDArray[Any]]:
@@ -115,7 +116,7 @@ def _true_models(batch: DeckBatch) -> tuple[DeckBatch, NDArray[Any]]:
         rows, which = np.unique(r.true_flexure, axis=0, return_inverse=True)
         models = [FlexureModel(row[:3], row[3:6], row[6:]) for row in rows]
         tapes["model"][i, : len(which)] = which.ravel()
-        packed.append(kernels.pack(r, models))
+        packed.append(alignment_model.pack(r, models))
         packed[-1]["start"] = packed[-1]["start"][which.ravel()[0]]
     most = max(len(p) for p in packed)
     stacked = [np.concatenate([p, p[[-1] * (most - len(p))]]) for p in packed]
@@ -220,4 +221,4 @@ def put_flexure(
     if option.printed:
         models[i] = printed_models(batch.recordings[i], flexure)
     else:
-        kernels.write_flexure(models[i, 0], flexure)
+        alignment_model.write_flexure(models[i, 0], flexure)

@@ -94,6 +94,16 @@ def touch(lanes: NDArray[Any], rows: Sequence[Sequence[int]]) -> None:
 
 
 @part
+def transpose(lane):
+    """P ← Pᵀ: F P Fᵀ is F (F P)ᵀ, where F's few blocks act on rows."""
+    for i in range(lane.x.shape[0]):
+        for j in range(i):
+            p = lane.P[i, j]
+            lane.P[i, j] = lane.P[j, i]
+            lane.P[j, i] = p
+
+
+@part
 def hear(lane):
     """Use the rows whose innovation is a number; returns how many."""
     count = 0

@@ -3,6 +3,7 @@
 import numpy as np
 
 from navgym.filters import alignment as kernels
+from navgym.filters import alignment_model
 from navgym.filters.mechanization import tapes_of
 
 REPORT = kernels.REPORT.names
@@ -12,7 +13,7 @@ OFF = dict(zip(kernels.COLUMNS, kernels.OFF, strict=True))
 def prepare(recordings, flexures=None, **parameters):
     """Lanes, models, tapes and the table (1, 1, 4) of a run; keywords are kernel columns."""
     tapes, lengths = tapes_of(recordings)
-    models = np.stack([kernels.pack(r, flexures) for r in recordings])
+    models = np.stack([alignment_model.pack(r, flexures) for r in recordings])
     row = np.array([[list((OFF | parameters).values())]])
     lanes = np.zeros(len(recordings), kernels.LANE)
     kernels.begin(lanes, models, row[:, 0])

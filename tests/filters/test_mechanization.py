@@ -13,7 +13,7 @@ from navgym.deck_batch import DeckBatch
 from navgym.deck_estimation import attitude_error, attitudes
 from navgym.deck_model import DeckModel, lever_matrix
 from navgym.dual_imu import DualIMURecording
-from navgym.filters.alignment import pack
+from navgym.filters.alignment_model import pack
 from navgym.filters.mechanization import TAPE, coarse_alignment, tapes_of
 from navgym.flexure import ARCMIN
 from navgym.inertial.earth import GRAVITY
