@@ -47,7 +47,8 @@ class Layout:
         self.size: int = ends[-1]
         self.slices = tuple(slice(*ends[i : i + 2]) for i in range(len(states)))
         # first.NAME, the first state of a block: a named tuple, which kernels read as constants
-        self.first: Any = namedtuple("first", names)(*ends[:-1])
+        named: Any = namedtuple("first", names)
+        self.first = named(*ends[:-1])
 
     def indices(self, *names: str) -> tuple[int, ...]:
         """The states of some blocks, in the order of `names`."""
