@@ -9,6 +9,8 @@ from collections import namedtuple
 from dataclasses import dataclass
 from typing import Any
 
+_named: Any = namedtuple  # its names are known at run time only
+
 
 @dataclass(frozen=True)
 class State:
@@ -47,8 +49,7 @@ class Layout:
         self.size: int = ends[-1]
         self.slices = tuple(slice(*ends[i : i + 2]) for i in range(len(states)))
         # first.NAME, the first state of a block: a named tuple, which kernels read as constants
-        named: Any = namedtuple("first", names)
-        self.first = named(*ends[:-1])
+        self.first = _named("first", names)(*ends[:-1])
 
     def indices(self, *names: str) -> tuple[int, ...]:
         """The states of some blocks, in the order of `names`."""
