@@ -1,0 +1,97 @@
+"""Links, anchors and tests that README and docs name exist; so do the headings that code cites."""
+
+import re
+import unicodedata
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+FOLDERS = ("agents", "docs", "navgym", "scripts", "tests", "tuning")
+WRITTEN = {".md", ".py", ".toml", ".cff", ".txt", ".ipynb"}
+LINK = re.compile(r"\]\((?![a-z]+:)([^)\s]+)\)")
+CITATION = re.compile(r"docs/[a-z0-9/-]+\.md(?:#[\w-]+)?")
+
+
+def project_files():
+    """Everything that people write here, and nothing that they install or run."""
+    inside = [p for folder in FOLDERS for p in (ROOT / folder).rglob("*")]
+    files = [p for p in [*ROOT.iterdir(), *inside] if p.is_file()]
+    return [p for p in files if p.suffix in WRITTEN or p.name == "Makefile"]
+
+
+def prose(page):
+    """A page without its blocks of code."""
+    return re.sub(r"^```.*?^```", "", page.read_text("utf-8"), flags=re.DOTALL | re.MULTILINE)
+
+
+def github_slug(heading):
+    return re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-")
+
+
+def mkdocs_slug(heading):
+    plain = unicodedata.normalize("NFKD", heading).encode("ascii", "ignore").decode()
+    return re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", plain).strip().lower())
+
+
+def anchors(page):
+    """Anchors that GitHub and MkDocs agree on: of headings that a page has once."""
+    slugs = [
+        (github_slug(h), mkdocs_slug(h))
+        for h in re.findall(r"^#+ +(.+?) *#*$", prose(page), re.MULTILINE)
+    ]
+    first = [a for a, _ in slugs]
+    return {a for a, b in slugs if a == b and first.count(a) == 1}
+
+
+def fault(target, base):
+    """What is wrong with a link, or nothing."""
+    path, _, anchor = target.partition("#")
+    page = base / path if path else base
+    if not page.exists():
+        return f"{target}: no such file"
+    if anchor and anchor not in anchors(page):
+        return f"{target}: no such heading; there are {sorted(anchors(page))}"
+    return ""
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_every_link_of_a_page_leads_somewhere(page):
+    links = LINK.findall(prose(page))
+    faults = [fault(t, page if t.startswith("#") else page.parent) for t in links]
+    assert not list(filter(None, faults))
+
+
+def test_every_heading_that_code_cites_exists():
+    cited = {
+        (p.relative_to(ROOT), target)
+        for p in project_files()
+        if p.suffix == ".py" and p != Path(__file__)
+        for target in CITATION.findall(p.read_text("utf-8"))
+    }
+    faults = [f"{p} cites {wrong}" for p, target in sorted(cited) if (wrong := fault(target, ROOT))]
+    assert not faults
+
+
+def test_every_test_that_the_science_pages_name_exists():
+    written = {
+        name
+        for p in (ROOT / "tests").rglob("test_*.py")
+        for name in re.findall(r"^def (test_\w+)", p.read_text("utf-8"), re.MULTILINE)
+    }
+    named = {
+        (p.name, name)
+        for p in (ROOT / "docs" / "science").glob("*.md")
+        for name in re.findall(r"`(test_\w+)`", p.read_text("utf-8"))
+    }
+    assert named
+    assert not sorted((page, name) for page, name in named if name not in written)
+
+
+@pytest.mark.parametrize(
+    ("heading", "slug"),
+    [("What is right", "what-is-right"), ("A-KIT", "a-kit"), ("IDAM: a deck", "idam-a-deck")],
+)
+def test_both_sites_give_a_plain_heading_one_anchor(heading, slug):
+    assert github_slug(heading) == mkdocs_slug(heading) == slug
