@@ -28,7 +28,7 @@ from agents.contest import (
 from agents.rollout import DECK, STEERED_DECK
 from navgym._checks import Array
 from navgym.deck_estimation import run_deck
-from navgym.filters.alignment import THETA
+from navgym.filters.alignment import FLEXING
 from navgym.filters.catalogue import Filter
 from navgym.metrics import consistency, nees
 from navgym.metrics.deck import START, deck_errors, run_errors
@@ -200,14 +200,14 @@ class DeckWorld(World):
             self._chosen(contender), some.batch, parameters, entry.interval, everything=True
         )
         scored = slice(round(START / some.batch.step), None)
-        wide = found["wide"][0, scored]
-        dof = np.isfinite(wide[:, :6]).sum(axis=1)
-        nis = consistency(wide[:, 15], dof)
+        report = found["report"][0, scored]
+        dof = np.isfinite(report["innovation"]).sum(axis=1)
+        nis = consistency(report["nis"], dof)
         truth = some.batch.truth
         assert truth is not None
-        own_states, P = found["states"][0, scored, THETA:], found["covariances"][0, scored]
-        normalised = nees(own_states, P[:, THETA:, THETA:], truth[0, scored])
-        heard = dof[np.isfinite(wide[:, 15]) & (dof > 0)]
+        own_states, P = found["states"][0, scored, FLEXING], found["covariances"][0, scored]
+        normalised = nees(own_states, P[:, FLEXING, FLEXING], truth[0, scored])
+        heard = dof[np.isfinite(report["nis"]) & (dof > 0)]
         return {
             "nis": nis.mean * nis.samples / float(heard.sum()),
             "inside": nis.inside,

@@ -90,12 +90,12 @@ class LiveDeckEstimate(LiveEstimate):
     @property
     def theta(self) -> Array:
         """(3,) dynamic deformation, rad."""
-        return self.state[THETA:RATE]
+        return self.state[THETA]
 
     @property
     def theta_rate(self) -> Array:
         """(3,) rad/s."""
-        return self.state[RATE:]
+        return self.state[RATE]
 
 
 class SelfTuningFilter:

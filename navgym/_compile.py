@@ -32,7 +32,8 @@ import numpy as np
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _PACKAGE = Path(__file__).parent
-_MARK = b"from navgym._compile import"  # what every kernel file holds
+# what a kernel file holds, and a file whose constants kernels freeze
+_MARKS = (b"from navgym._compile import", b"frozen into kernels")
 _PLAIN: int = numba.config.DISABLE_JIT  # type: ignore[attr-defined]
 
 
@@ -55,14 +56,14 @@ def _fingerprint(file: str, package: Path = _PACKAGE) -> str:
 
 @functools.lru_cache
 def _kernel_files(path: Path, package: Path) -> tuple[Path, ...]:
-    """The kernel files of `package` that `path` imports."""
+    """The kernel files of `package` that `path` imports, and those of constants frozen into kernels."""
     modules = (m.split(".") for m in _imported(_content(path).decode()))
     files = [
         package.joinpath(*names[1:-1], f"{names[-1]}.py")
         for names in modules
         if names[0] == package.name and len(names) > 1
     ]
-    return tuple(f for f in files if f.is_file() and _MARK in _content(f))
+    return tuple(f for f in files if f.is_file() and any(m in _content(f) for m in _MARKS))
 
 
 @functools.lru_cache

@@ -121,7 +121,7 @@ def estimate_deck(
     """
     batch = DeckBatch.of([recording])
     found = run_deck(filter_name, batch, parameters, decision_interval, everything=True)
-    states, wide = found["states"][0], found["wide"][0]
+    states, report = found["states"][0], found["report"][0]
     attitude, static = attitudes(batch.tapes[0], states)
     reference = recording.reference
     unobserved = _unobserved(found["covariances"][0])
@@ -136,16 +136,16 @@ def estimate_deck(
         time=recording.step_time,
         attitude=attitude,
         static=static,
-        theta=states[:, THETA:RATE],
-        theta_rate=states[:, RATE:],
+        theta=states[:, THETA],
+        theta_rate=states[:, RATE],
         states=states,
         covariances=found["covariances"][0],
-        innovations=wide[:, :6],
-        weights=wide[:, 6:12],
-        model_error=wide[:, 12:15],
-        nis=wide[:, 15],
-        log_likelihood=wide[:, 16],
-        innovation_variance=wide[:, 17:23],
+        innovations=report["innovation"],
+        weights=report["weights"],
+        model_error=report["model_error"],
+        nis=report["nis"],
+        log_likelihood=report["log_likelihood"],
+        innovation_variance=report["innovation_variance"],
         diverged=bool(found["diverged"][0]),
         flexures=tuple(found["flexures"][0]),
         attitude_error=None
@@ -166,10 +166,10 @@ def attitudes(tape: Any, states: Array) -> tuple[Array, Array]:
     if good.any():
         x = states[good]
         main, sub = (Rotation.from_quat(tape[n][good], scalar_first=True) for n in ("q_m", "q_s"))
-        tilt = Rotation.from_rotvec(x[:, PHI : PHI + 3])
-        found = main.inv() * rodrigues(x[:, L : L + 3]) * tilt * sub
+        tilt = Rotation.from_rotvec(x[:, PHI])
+        found = main.inv() * rodrigues(x[:, L]) * tilt * sub
         attitude[good] = found.as_quat()
-        static[good] = (Rotation.from_rotvec(x[:, THETA:RATE]).inv() * found).as_rotvec()
+        static[good] = (Rotation.from_rotvec(x[:, THETA]).inv() * found).as_rotvec()
     return attitude, static
 
 
@@ -185,7 +185,7 @@ def attitude_error(attitude: Array, reference: Array) -> Array:
 
 def _unobserved(covariances: Array) -> Array:
     """Directions in which 2 l is still known to degrees only."""
-    last = covariances[-1, :3, :3]
+    last = covariances[-1, L, L]
     if not np.isfinite(last).all():
         return np.empty((0, 3))
     values, vectors = np.linalg.eigh(last)

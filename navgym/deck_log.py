@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from navgym._checks import Array, one_of, real_array, shaped, within
 from navgym._tables import Table, read_table, write_table
-from navgym.deck_model import DEGREE_PER_HOUR, DeckModel
+from navgym.deck_model import DeckModel
 from navgym.dual_imu import DualIMURecording, resample, turning
 from navgym.dual_readers import fitted
+from navgym.inertial.imu import DEGREE_PER_HOUR
 
 GYRO_UNITS: Mapping[str, float] = {
     "deg/h": DEGREE_PER_HOUR,

@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 from navgym._checks import Array, positive_int, real_array, within
 from navgym._frozen import Frozen
 from navgym.flexure import ARCMIN, FlexureModel
-
-DEGREE_PER_HOUR = np.pi / 180.0 / 3600.0  # rad/s
-DEGREE_PER_ROOT_HOUR = np.pi / 180.0 / 60.0  # rad/√s
-MICRO_G = 9.80665e-6  # m/s²
+from navgym.inertial.earth import MICRO_G
+from navgym.inertial.imu import DEGREE_PER_HOUR, DEGREE_PER_ROOT_HOUR
 
 PAPER_FLEXURE = FlexureModel.from_correlation_time(
     [10.0, 10.0, 30.0], np.array([6.0, 6.0, 10.0]) * ARCMIN

@@ -17,8 +17,8 @@ from navgym import _storage
 from navgym._checks import Array, real_array, shaped, within
 from navgym._frozen import Frozen
 from navgym.deck_model import DeckModel
+from navgym.inertial.earth import GRAVITY
 
-GRAVITY = 9.80665  # m/s²
 _IMU = ("main_angle", "main_velocity", "sub_angle", "sub_velocity")
 _STEPS = {"disturbance": 6, "disturbance_variance": 6, "impulse_variance": 3, "true_flexure": 9}
 _ARRAYS = (*_IMU, "theta", "theta_rate", "static", "attitude", "regime", *_STEPS)

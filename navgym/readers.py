@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from navgym._checks import Array, one_of, positive_int, within
 from navgym._tables import Table, read_table
+from navgym.inertial.earth import radii_of_curvature
 from navgym.models import LinearModel, step_of
 from navgym.recording import Recording
 from navgym.scenarios import Loss, split_of
@@ -42,10 +43,6 @@ if TYPE_CHECKING:
     _Name = str | os.PathLike[str]
 
 STREAM = 0xA1  # first word of an A-KIT recording's seed sequence; the AUV simulator's is 0xA0
-
-# WGS-84: equatorial radius in m, first eccentricity squared
-EQUATORIAL_RADIUS = 6378137.0
-ECCENTRICITY_SQUARED = 6.69437999014e-3
 
 
 @overload
@@ -189,9 +186,7 @@ def _tangent_plane(reference: Table) -> tuple[Array, Array]:
     """
     latitude, longitude = reference.numbers("Latitude [rad]"), reference.numbers("Longitude [rad]")
     height = reference.numbers("Altitude [m]")[0]
-    flatness = 1.0 - ECCENTRICITY_SQUARED * math.sin(latitude[0]) ** 2
-    normal = EQUATORIAL_RADIUS / math.sqrt(flatness)
-    meridian = normal * (1.0 - ECCENTRICITY_SQUARED) / flatness
+    meridian, normal = radii_of_curvature(latitude[0])
     north = (latitude - latitude[0]) * (meridian + height)
     east = (longitude - longitude[0]) * (normal + height) * math.cos(latitude[0])
     return north, east

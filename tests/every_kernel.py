@@ -12,6 +12,7 @@ from pathlib import Path
 
 import gymnasium
 import numpy as np
+from numpy.lib.recfunctions import structured_to_unstructured
 
 import navgym
 import navgym.identification
@@ -24,6 +25,7 @@ from navgym.envs.live import LiveAUV
 from navgym.filters import alignment, bank, combiner
 from tests.filters.deck_lanes import outputs_for, prepare, rule_of, run_alignment
 from tests.helpers import NAMES
+from tests.inertial import test_update
 
 PACKAGE = Path(navgym.__file__).parent
 AUV = (
@@ -39,10 +41,16 @@ def numbers():
     """Arrays by name, from every family of kernels."""
     found = {}
     for part in (
-        filters, mixture, deck, failing, mechanised, identification, environments, live_auv, live_deck
+        filters, mixture, deck, failing, updating, mechanised, identification, environments, live_auv, live_deck
     ):  # fmt: skip
-        found |= {f"{part.__name__} {name}": np.array(v, float) for name, v in part().items()}
+        found |= {f"{part.__name__} {name}": plain(v) for name, v in part().items()}
     return found
+
+
+def plain(value):
+    """An array of numbers; fields of records side by side."""
+    array = np.asarray(value)
+    return np.array(structured_to_unstructured(array) if array.dtype.names else array, float)
 
 
 def filters():
@@ -97,7 +105,18 @@ def failing():
         alignment.run(
             lanes, models, tapes, rule_of(), row, 1, np.zeros((1, 0, 3)), np.zeros((1, 0, 6)), *out
         )
-        found |= {f"{name} states": out[0], f"{name} wide": out[1], name: lanes["diverged"]}
+        found |= {f"{name} states": out[0], f"{name} report": out[1], name: lanes["diverged"]}
+    return found
+
+
+def updating():
+    """The general update, trusting its rows or leaving out those beyond a gate."""
+    lane, _ = test_update.problem(3)
+    lane["innovation"][0, :2] = np.nan, 1e6
+    found = {}
+    for how in (test_update.TRUST, test_update.GATE):
+        after = test_update.updated(lane, how, listen=True)
+        found |= {f"{how} {name}": after[name] for name in ("x", "P", "nis")}
     return found
 
 

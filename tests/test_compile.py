@@ -59,3 +59,13 @@ def test_an_edit_of_any_other_file_does_not(package):
     for name in ("plain.py", "inner/other.py", "way.py"):
         edit(package / name)
     assert fingerprint(package) == before
+
+
+def test_an_edit_of_constants_that_kernels_freeze_renames_a_kernel(package):
+    (package / "plain.py").write_text('"""These are frozen into kernels."""\nA = 1\n')
+    (package / "top.py").write_text(
+        KERNELS + "from navgym.plain import A\n\n\n@part\ndef f():\n    A\n"
+    )
+    before = fingerprint(package)
+    edit(package / "plain.py")
+    assert fingerprint(package) != before

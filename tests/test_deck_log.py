@@ -8,7 +8,8 @@ import navgym
 from navgym.deck_log import COLUMNS, relative_attitude, write_deck_csv
 from navgym.deck_model import DeckModel
 from navgym.flexure import ARCMIN
-from navgym.scenarios.deck import DECK_CATALOGUE, NO_ERRORS
+from navgym.inertial.imu import NO_ERRORS
+from navgym.scenarios.deck import DECK_CATALOGUE
 from navgym.simulation.deck import simulate
 
 IMU = ("main_angle", "main_velocity", "sub_angle", "sub_velocity")

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 import navgym
 from navgym.deck_batch import DeckBatch
 from navgym.deck_estimation import run_deck
+from navgym.filters.alignment import FLEXING, THETA
 from navgym.flexure import ARCMIN
 from navgym.metrics.deck import NAMES, UNITS, deck_errors, moving_mean
 from navgym.simulation import simulate_many
@@ -29,7 +30,7 @@ def batch():
 def perfect(batch):
     """States (N, K, 24) of a filter that knows θ, θ̇ and the attitude, whatever l it holds."""
     states = np.zeros((*batch.tapes.shape, 24))
-    states[..., 18:] = np.nan_to_num(batch.truth)
+    states[..., FLEXING] = np.nan_to_num(batch.truth)
     for i, r in enumerate(batch.recordings):
         tape = batch.tapes[i, : r.steps]
         main, sub = (
@@ -54,7 +55,7 @@ def test_truth_has_no_errors(batch, perfect):
 def test_a_constant_offset_of_theta_is_slow(batch, perfect):
     """It counts in θ and in the static part, which takes it off the attitude; not in theta_ac."""
     states = perfect.copy()
-    states[..., 18:21] += np.array([3.0, 4.0, 12.0]) * ARCMIN
+    states[..., THETA] += np.array([3.0, 4.0, 12.0]) * ARCMIN
     found = deck_errors(batch, states)
     np.testing.assert_allclose(found.axes["theta"], np.tile([3.0, 4.0, 12.0], (3, 1)), rtol=1e-9)
     np.testing.assert_allclose(found.norm["theta"], 13.0, rtol=1e-9)
@@ -70,7 +71,7 @@ def test_a_constant_offset_of_theta_is_slow(batch, perfect):
 def test_only_waves_faster_than_a_minute_count_as_fast(period, low, high, batch, perfect):
     states = perfect.copy()
     t = batch.step * np.arange(1, batch.tapes.shape[1] + 1)
-    states[..., 18] += 2.0 * ARCMIN * np.sin(2.0 * np.pi * t / period)
+    states[..., THETA.start] += 2.0 * ARCMIN * np.sin(2.0 * np.pi * t / period)
     found = deck_errors(batch, states)
     ratio = found.axes["theta_ac"][:2, 0] / np.sqrt(2.0)
     assert (low <= ratio).all()
@@ -98,7 +99,7 @@ def test_a_wrong_l_turns_attitude_and_static_deformation_by_twice_as_much(batch,
 
 def test_the_start_is_not_scored(batch, perfect):
     states = perfect.copy()
-    states[:, :1200, 18:] += 1.0
+    states[:, :1200, FLEXING] += 1.0
     assert deck_errors(batch, states).norm["theta"].max() < 1e-9
     assert deck_errors(batch, states).norm["theta_rate"].max() < 1e-9
     assert deck_errors(batch, states, start=59.0).norm["theta"].min() > 10.0

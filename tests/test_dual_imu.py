@@ -14,8 +14,9 @@ from scipy.spatial.transform import Rotation
 
 import navgym
 from navgym.deck_model import DeckModel, lever_matrix
-from navgym.dual_imu import GRAVITY, DualIMURecording, resample, steadiness, turning
+from navgym.dual_imu import DualIMURecording, resample, steadiness, turning
 from navgym.flexure import FlexureModel
+from navgym.inertial.earth import GRAVITY
 from navgym.scenarios.deck import DECK_CATALOGUE
 from navgym.simulation.deck import simulate
 

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 import navgym
 from navgym.dual_imu import turning
 from navgym.dual_readers import clock_delay, fitted, misalignment, mounting
+from navgym.filters.alignment import THETA
 from tests.conftest import real_data
 
 G = 9.81
@@ -424,7 +425,7 @@ def test_a_filter_that_expects_a_degree_of_flexure_invents_none_on_the_rigid_qua
     expecting = dataclasses.replace(recording, model=model, check_units=False)
     found = navgym.estimate("alignment", expecting, {"velocity_noise": 3.0})
     theta = np.degrees(np.sqrt((found.theta**2).mean(axis=0)))
-    own = np.degrees(np.sqrt(found.covariances[-1].diagonal()[18:21]))
+    own = np.degrees(np.sqrt(found.covariances[-1].diagonal()[THETA]))
     assert (theta < 0.2).all()  # .11, .15, .08 measured
     assert (theta < own / 3.0).all()
     assert np.degrees(np.linalg.norm(found.static[-1])) == pytest.approx(2.0, abs=1.5)

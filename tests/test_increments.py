@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 import navgym
 from navgym.flexure import ARCMIN
 from navgym.increments import final_alignment, flexure_increments, increments_of, rodrigues
-from navgym.scenarios.deck import NO_ERRORS
+from navgym.inertial.imu import NO_ERRORS
 from tests.filters.deck_lanes import prepare
 
 PERFECT = {"main": NO_ERRORS, "sub": NO_ERRORS}

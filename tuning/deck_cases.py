@@ -119,22 +119,22 @@ class DeckCases:
         rows, flags = [], []
         began = time.perf_counter()
         for i in range(len(self)):
-            wide, diverged = self._wide(i, filter_name, parameters, decision_interval)
-            judged = wide[:, self._scored(i)]
-            components = np.isfinite(judged[..., :6]).sum(axis=-1)
-            rows.append(innovation_quantities(judged[..., 16], judged[..., 15], components))
+            report, diverged = self._report(i, filter_name, parameters, decision_interval)
+            judged = report[:, self._scored(i)]
+            components = np.isfinite(judged["innovation"]).sum(axis=-1)
+            rows.append(innovation_quantities(judged["log_likelihood"], judged["nis"], components))
             flags.append(diverged)
         spent = 1e6 * (time.perf_counter() - began) / self.samples
         joined = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
         return Judged(joined, np.array(flags), spent)
 
-    def _wide(
+    def _report(
         self, i: int, filter_name: str, parameters: Any, decision_interval: int | None
-    ) -> tuple[Array, bool]:
-        """What belongs to each innovation of recording i (1, K, ·), and whether the filter diverged."""
+    ) -> tuple[NDArray[Any], bool]:
+        """What belongs to each innovation of recording i, `alignment.REPORT` (1, K), and whether the filter diverged."""
         own = [parameters[i]] if isinstance(parameters, list) else parameters
         found = run_deck(filter_name, self.batch.take([i]), own, decision_interval, everything=True)
-        return found["wide"], bool(found["diverged"][0])
+        return found["report"], bool(found["diverged"][0])
 
     def _scored(self, i: int) -> slice:
         """The steps of recording i whose innovations are judged, its alignment left out."""
@@ -161,9 +161,10 @@ class DeckCases:
             states = run_deck(filter_name, self.batch, parameters, decision_interval)["states"]
         for i, length in enumerate(self.batch.lengths):
             if states is None:
-                wide, _ = self._wide(i, filter_name, parameters, decision_interval)
-                heard = np.isfinite(wide[0, :length, :6]).sum(axis=-1)
-                each = -wide[0, :length, 16] if name == "nll" else wide[0, :length, 15]
+                report, _ = self._report(i, filter_name, parameters, decision_interval)
+                told = report[0, :length]
+                heard = np.isfinite(told["innovation"]).sum(axis=-1)
+                each = -told["log_likelihood"] if name == "nll" else told["nis"]
                 found[i, :length] = each / np.where(heard > 0, heard, np.nan)
             else:
                 errors = run_errors(self.batch, i, states[i, :length], name == "attitude")

@@ -16,6 +16,7 @@ import navgym
 from navgym._checks import Array
 from navgym.deck_batch import DeckBatch
 from navgym.dual_imu import DualIMURecording
+from navgym.filters.alignment import THETA
 from navgym.filters.catalogue import DECK_CATALOGUE, Filter
 from navgym.flexure import ARCMIN, FlexureModel
 from navgym.identification import METHODS, identify
@@ -276,7 +277,7 @@ def _posterior(cases: DeckCases, parameters: Mapping[str, Any]) -> Array:
         lengths=cases.batch.lengths[:1],
     )
     P = run_deck("alignment", one, parameters, everything=True)["covariances"][0, -1]
-    found: Array = np.sqrt(np.diag(P)[18:21]) / ARCMIN
+    found: Array = np.sqrt(np.diag(P)[THETA]) / ARCMIN
     return found
 
 
@@ -295,7 +296,7 @@ def _bound_figure(cases: DeckCases) -> Figure:
 
     states = run_deck("alignment", cases.batch, {"velocity_noise": 2.0})["states"]
     error = (
-        np.sqrt(np.nanmean((states[..., 18:21] - cases.batch.tapes["theta"]) ** 2, axis=0)) / ARCMIN
+        np.sqrt(np.nanmean((states[..., THETA] - cases.batch.tapes["theta"]) ** 2, axis=0)) / ARCMIN
     )
     when = cases.recordings[0].step_time
     bound = CALM.flexure.split_deviation(when) / ARCMIN
@@ -672,7 +673,7 @@ def quadrotor(folder: Path) -> Part:
             warnings.simplefilter("ignore", UserWarning)  # of a heading that 20 s do not show
             estimate = navgym.estimate("alignment", expecting, {"velocity_noise": 3.0})
         theta = np.degrees(np.sqrt((estimate.theta**2).mean(axis=0)))
-        own = np.degrees(np.sqrt(estimate.covariances[-1].diagonal()[18:21]))
+        own = np.degrees(np.sqrt(estimate.covariances[-1].diagonal()[THETA]))
         rows.append([f"{degrees:g}", *(" / ".join(f"{v:.2f}" for v in x) for x in (theta, own))])
         found[f"{degrees:g}"] = {"theta": theta.tolist(), "own": own.tolist()}
     apart = float(np.linalg.norm(recording.meta["misalignment"]))

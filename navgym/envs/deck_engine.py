@@ -15,9 +15,9 @@ from navgym.dual_imu import DualIMURecording
 from navgym.envs import deck_kernels as K
 from navgym.envs.actions import LIMIT
 from navgym.envs.base import TERMINATED, LaneEngine, LaneSettings, Shelf
-from navgym.filters import alignment, spaces
+from navgym.filters import alignment, alignment_model, spaces
 from navgym.filters.catalogue import Deck
-from navgym.filters.deck import identify_lane
+from navgym.filters.deck import columns_of, full_table, identify_lane
 from navgym.filters.mechanization import TAPE
 from navgym.flexure import FlexureModel
 from navgym.scenarios.deck import DeckScenario
@@ -73,16 +73,15 @@ class DeckEngine(LaneEngine):
     LIMIT: ClassVar[float] = LIMIT
 
     def _begin(self) -> None:
+        self._rule = rule_of(self.settings)
         self._filter_rule = np.zeros(1, alignment.RULE)
         self._filter_rule["iterations"] = 1
         self._filter_rule["judged"] = self.settings.reward == "likelihood"
 
     def _allocate(self, trail: bool) -> None:
-        s = self.settings
         self.lanes = np.zeros(self.count, alignment.LANE)
         self.models = np.repeat(self.shelf.models[:1], self.count, axis=0)
         self.stations = np.repeat(station_of(self._row(self.reference)), self.count)
-        self._rule = rule_of(s)
         longest = self.shelf.tapes.shape[1] if trail else 0
         self.trail = np.full(
             (self.count, longest, alignment.STATES + alignment.MEASUREMENTS), np.nan
@@ -103,7 +102,7 @@ class DeckEngine(LaneEngine):
 
     def _empty_shelf(self, lanes: int) -> Shelf:
         longest = max(s.samples // s.samples_per_step for s in self._scenarios)
-        models = np.zeros((lanes, 1), alignment.MODEL)
+        models = np.zeros((lanes, 1), alignment_model.MODEL)
         return Shelf(
             tapes=np.zeros((lanes, longest), TAPE),
             models=models,
@@ -132,17 +131,17 @@ class DeckEngine(LaneEngine):
                 "use reward='likelihood'."
             )
         count, steps = batch.tapes.shape
-        models = np.stack([alignment.pack(r) for r in batch.recordings])
+        models = np.stack([alignment_model.pack(r) for r in batch.recordings])
         stations = np.concatenate([station_of(row) for row in rows])
         stations["which"], stations["length"] = np.arange(count), batch.lengths
         lanes, checkpoints = (np.zeros(count, alignment.LANE) for _ in range(2))
-        alignment.begin(lanes, models, stations["row"][:, : K.COLUMNS])
+        alignment.begin(lanes, models, full_table(self.space, stations["row"]))
         scores, means = np.zeros((count, steps, K.SCORES + 1)), np.zeros((count, K.SCORES))
         begun = stations.copy()
         checkpoints[...] = lanes
         K.rehearse(
-            lanes, stations, models, batch.tapes, self._filter_rule, self._starts(batch), checkpoints,
-            begun, scores, means,
+            lanes, stations, models, batch.tapes, self._filter_rule, self._rule, self._starts(batch),
+            checkpoints, begun, scores, means,
         )  # fmt: skip
         extra: dict[str, Any] = {
             "scores": scores,
@@ -173,7 +172,7 @@ class DeckEngine(LaneEngine):
             row = station["row"].copy()
             station[...] = station_of(row[0])
             station["which"], station["length"] = which, shelf.stations["length"][which]
-            alignment.begin(lane, self.models[i : i + 1], row[:, : K.COLUMNS])
+            alignment.begin(lane, self.models[i : i + 1], full_table(self.space, row))
         if start:
             rule = self._rule.copy()
             rule["interval"] = start
@@ -210,7 +209,7 @@ class DeckEngine(LaneEngine):
                 {"rvm_kernel_scale": float(station["row"][SCALE])},
             )  # fmt: skip
             if found is not None:
-                alignment.write_flexure(self.models[i, 0], found)
+                alignment_model.write_flexure(self.models[i, 0], found)
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """See `LaneEngine`; lanes that identify hold models of their own."""
@@ -249,6 +248,7 @@ def rule_of(settings: DeckSettings) -> NDArray[Any]:
     """The kernels' rule (1,)."""
     rule = np.zeros(1, K.RULE)
     rule["interval"] = settings.decision_interval
+    rule["columns"] = columns_of(settings.SPACE)
     rule["kind"] = settings.REWARDS.index(settings.reward)
     rule["clip"], rule["ac_weight"] = settings.reward_clip, settings.ac_weight
     rule["theta_price"] = settings.theta_price

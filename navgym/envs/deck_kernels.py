@@ -23,13 +23,12 @@ from navgym.envs.base import (
     TERMINATED,
     TRUNCATED,
 )
-from navgym.filters import alignment
-from navgym.filters.alignment import MEASUREMENTS, RATE, STATES, THETA
+from navgym.filters import alignment, spaces
+from navgym.filters.alignment import AT, MEASUREMENTS, STATES
 from navgym.filters.mechanization import disturb, mechanize_step
 from navgym.flexure import ARCMIN
 
-PARAMETERS = 6  # of the environment's space; the first ones are the filter kernel's
-COLUMNS = len(alignment.COLUMNS)
+PARAMETERS = len(spaces.IDAM)  # of the environment's space
 DECAYS = np.array([0.8, 0.97, 0.995])  # per filter step: .2, 1.6 and 10 s at 20 Hz
 EVENT_DECAY = 0.8  # per event, of the persistence of large innovations
 SEA_DECAYS = np.array([0.995, 0.99917])  # 10 and 60 s at 20 Hz
@@ -53,6 +52,7 @@ RULE = np.dtype(
     [
         ("interval", i8), ("kind", i8), ("clip", f8), ("ac_weight", f8), ("theta_price", f8),
         ("first_group", i8),  # 0: velocity and rate channels are observed, 1: the rates only
+        ("columns", i8, (len(alignment.COLUMNS),)),  # where the filter's parameters stand in a row
     ]
 )  # fmt: skip
 STATION = np.dtype(
@@ -98,7 +98,7 @@ def watch(station, lane, model):
             station.mean[g, 5] += (1.0 - DECAYS[1]) * (1.0 - weight / count - station.mean[g, 5])
     motion = 0.0
     for a in range(3):
-        motion += (lane.x[RATE + a] / model.start[RATE + a]) ** 2 / 3.0
+        motion += (lane.x[AT.RATE + a] / model.start[AT.RATE + a]) ** 2 / 3.0
     for d in range(SEA):
         station.sea[d] += (1.0 - SEA_DECAYS[d]) * (min(motion, 1e6) - station.sea[d])
 
@@ -109,8 +109,8 @@ def score(station, lane, tape, dt, out):
     keep = math.exp(-dt / MEAN_SECONDS)
     out[0], out[1], out[2] = 0.0, 0.0, 0.0
     for a in range(3):
-        rate = (lane.x[RATE + a] - tape.theta_rate[a]) / ARCMIN
-        theta = (lane.x[THETA + a] - tape.theta[a]) / ARCMIN
+        rate = (lane.x[AT.RATE + a] - tape.theta_rate[a]) / ARCMIN
+        theta = (lane.x[AT.THETA + a] - tape.theta[a]) / ARCMIN
         station.drift[a] = keep * station.drift[a] + (1.0 - keep) * theta
         out[0] += rate * rate
         out[1] += (theta - station.drift[a]) ** 2
@@ -118,17 +118,17 @@ def score(station, lane, tape, dt, out):
 
 
 @part
-def filter_step(station, lane, model, tape, filter_rule, nothing):
+def filter_step(station, lane, model, tape, filter_rule, rule, nothing):
     """The filter on one step, with the parameters in force."""
-    for p in range(COLUMNS):
-        lane.row[p] = station.row[p]
+    for p in range(lane.row.shape[0]):
+        lane.row[p] = station.row[rule.columns[p]]
     alignment.step(lane, model, tape, filter_rule, nothing, nothing)
     watch(station, lane, model)
 
 
 @kernel
 def rehearse(
-    lanes, stations, models, tapes, filter_rules, start, checkpoints, starts, scores, means
+    lanes, stations, models, tapes, filter_rules, rules, start, checkpoints, starts, scores, means
 ):
     """Run the reference filter over whole recordings.
 
@@ -138,6 +138,7 @@ def rehearse(
         models: (R, 1).
         tapes: (R, K).
         filter_rules: (1,).
+        rules: (1,).
         start: (R,) steps after which lanes of the environment begin.
         checkpoints: (R,) to be filled with the lane as it is then.
         starts: (R,) to be filled with the station as it is then.
@@ -152,7 +153,7 @@ def rehearse(
                 station.k = k
                 checkpoints[i] = lanes[i]
                 starts[i] = stations[i]
-            filter_step(station, lane, model, tapes[i, k], filter_rules[0], nothing)
+            filter_step(station, lane, model, tapes[i, k], filter_rules[0], rules[0], nothing)
             score(station, lane, tapes[i, k], model.dt, scores[i, k])
             scores[i, k, LOG_LIKELIHOOD] = lane.log_likelihood
             for s in range(SCORES):
@@ -220,7 +221,7 @@ def decide(
         count = last - station.k
         for k in range(station.k, last):
             tape = tapes[which, k]
-            filter_step(station, lane, model, tape, filter_rules[0], nothing)
+            filter_step(station, lane, model, tape, filter_rules[0], rule, nothing)
             score(station, lane, tape, model.dt, error)
             for s in range(SCORES):
                 own[s] += error[s] / count
@@ -323,7 +324,7 @@ def live(
     )  # fmt: skip
     disturb(tape, disturbance)
     for i in range(2):
-        filter_step(stations[i], lanes[i], model, tape, filter_rules[0], nothing)
+        filter_step(stations[i], lanes[i], model, tape, filter_rules[0], rules[0], nothing)
     for i in range(2):
         square, log_det, count = rate_surprise(lanes[i])
         if count > 0.0:

@@ -16,7 +16,8 @@ from navgym.envs import deck_kernels as K
 from navgym.envs.base import TALLY
 from navgym.envs.deck_engine import DeckSettings, observation_names, rule_of, station_of
 from navgym.envs.live import LiveLane, flags, pooled
-from navgym.filters import alignment
+from navgym.filters import alignment, alignment_model
+from navgym.filters.deck import full_table
 from navgym.filters.mechanization import TAPE, begin_lever
 
 FIRST = 3  # samples that the rate at the start is extrapolated from
@@ -61,13 +62,14 @@ class LiveDeck(LiveLane):
         per = model.samples_per_step
         self._memory, parts = pooled((alignment.LANE, 2), (K.STATION, 2), (np.float64, TALLY))
         self.lanes, self.stations, self.tally = parts
-        self._model, self._tape = np.zeros(1, alignment.MODEL), np.zeros(1, TAPE)
+        self._model, self._tape = np.zeros(1, alignment_model.MODEL), np.zeros(1, TAPE)
         judged = np.zeros(1, alignment.RULE)
         judged["iterations"] = judged["judged"] = 1
         self._samples = np.zeros((4, K.HISTORY + per, 3))
         self._filled = np.zeros(K.HISTORY + per, dtype=np.bool_)
         self._moving = np.zeros((5, 4))
         self._disturbance = np.zeros(6)
+        self._own_row = full_table(settings.SPACE, self.reference)
         self._rule, self._lever = rule_of(settings), np.array(model.lever_arm)
         self._arguments = (
             self.lanes, self.stations, self._model, self._tape, judged, self._rule,
@@ -106,11 +108,11 @@ class LiveDeck(LiveLane):
     def _start(self) -> None:
         """With the first samples known, put the filters at their start."""
         first = np.stack([sample[0] for sample, _ in self._pending[:FIRST]])
-        self._model[...] = alignment.pack_model(self.model, self.interval, first)
+        self._model[...] = alignment_model.pack_model(self.model, self.interval, first)
         begin_lever(  # type: ignore[no-untyped-call]
             first, self._lever, self.interval, self._moving[K.LEVER]
         )
-        alignment.begin(self.lanes, self._model[None], self.reference[: K.COLUMNS])
+        alignment.begin(self.lanes, self._model[None], self._own_row)
         self._samples[:, : K.HISTORY] = self._pending[0][0][:, None]
         self._started = True
 
@@ -201,7 +203,7 @@ class LiveDeck(LiveLane):
         self._samples[:, : K.HISTORY] = self._samples[:, -K.HISTORY :].copy()
         if failed == 3:
             self._begin()
-            alignment.begin(self.lanes, self._model[None], self.reference[: K.COLUMNS])
+            alignment.begin(self.lanes, self._model[None], self._own_row)
         elif failed:
             self._heal(failed)
         return failed

@@ -44,7 +44,7 @@ class DeckPainter(Canvas):
         """True and estimated θ of one axis, with the least deviation that the model allows."""
         k, which = int(engine.stations["k"][0]), int(engine.stations["which"][0])
         time, tape = _time(engine)[:k], engine.shelf.tapes[which][:k]
-        estimate = engine.trail[0, :k, THETA + a] / ARCMIN
+        estimate = engine.trail[0, :k, THETA][:, a] / ARCMIN
         true = tape["theta"][:, a] / ARCMIN
         bound = engine.believed[0].split_deviation(time)[:, a] / ARCMIN
         axes.fill_between(

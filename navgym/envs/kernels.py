@@ -17,7 +17,8 @@ from navgym._compile import inline, kernel, part
 from navgym.envs.actions import bounded, foretold, log_square, place, set_parameters
 from navgym.envs.base import FREEDOM, HEARD, NIS_SUM, SCORE
 from navgym.filters import kalman, qivbf
-from navgym.filters.lane import LOG_2PI, NUMERICAL, quadratic
+from navgym.filters.lane import LOG_2PI, quadratic
+from navgym.health import NUMERICAL
 
 DECAYS = np.array([0.5, 0.8, 0.95])
 SIGNALS = 5  # per stream: NIS, alarm, correlation, power of positions, power of velocities

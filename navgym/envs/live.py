@@ -21,7 +21,7 @@ from navgym.envs.actions import action_table
 from navgym.envs.base import TALLY, LaneSettings
 from navgym.envs.engine import Settings, linear, observation_names, station_of
 from navgym.filters import kalman, qivbf
-from navgym.filters.lane import NUMERICAL
+from navgym.health import NUMERICAL
 from navgym.models import LinearModel
 
 CONTROLLED, REFERENCE = 0, 1

@@ -1,9 +1,8 @@
 """The 24-state deck filter in Rodrigues parameters (IDAM eq. 34-78, corrected), compiled.
 
-States: l (Rodrigues parameters of C_im^is), δV, φ, ε, ∇, V_r, θ, θ̇, three axes each. Measurements:
-velocity and rate differences of the two IMUs in their frozen frames (eq. 78). The transition is
-sparse and its blocks are written out; the six measurements are used one by one, linearised at the
-prediction, which equals the block update since their noises are independent.
+Its own physics: how the states move, and what they make the six measurements, velocity and rate
+differences of the two IMUs in their frozen frames (eq. 78). The update is that of
+`navgym.inertial.update`. The transition is sparse and its blocks are written out.
 
 Corrections, where the code stands: the flexure's transition and noise are exact for any damping
 (eq. 80, 76); V_r follows from θ and θ̇ by C (ω × L0 θ + L0 θ̇) without derivatives of ω (eq. 70);
@@ -15,7 +14,6 @@ and are judged by S by default (eq. 53).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -23,67 +21,48 @@ from numpy.typing import NDArray
 
 from navgym._checks import Array
 from navgym._compile import kernel, part
-from navgym.deck_model import DeckModel, lever_matrix
-from navgym.dual_imu import DualIMURecording
-from navgym.filters.mechanization import filled
-from navgym.flexure import FlexureModel
+from navgym.inertial import update
+from navgym.inertial.states import Layout, State
+from navgym.inertial.strapdown import matrix
 
-STATES, MEASUREMENTS = 24, 6
-L, DV, PHI, EPS, NABLA, VR, THETA, RATE = range(0, 24, 3)  # first state of each triple
+LAYOUT = Layout(
+    State("L", "l", "1", "Rodrigues parameters of C_im^is"),
+    State("DV", "δV", "m/s", "error of the sub IMU's velocity"),
+    State("PHI", "φ", "rad", "error of the sub IMU's attitude"),
+    State("EPS", "ε", "rad/s", "bias of the sub IMU's gyros"),
+    State("NABLA", "∇", "m/s²", "bias of the sub IMU's accelerometers"),
+    State("VR", "V_r", "m/s", "velocity of the lever arm that flexes"),
+    State("THETA", "θ", "rad", "dynamic deformation"),
+    State("RATE", "θ̇", "rad/s", "its rate"),
+)
+STATES, MEASUREMENTS = LAYOUT.size, 6
+AT = LAYOUT.first  # for kernels: AT.THETA is the first state of θ
+L, DV, PHI, EPS, NABLA, VR, THETA, RATE = LAYOUT.slices
+FLEXING = slice(THETA.start, RATE.stop)  # θ and θ̇
+ROWS = (LAYOUT.indices("L", "DV", "VR"),) * 3 + (LAYOUT.indices("L", "PHI", "EPS", "RATE"),) * 3
+TOUCHED = max(map(len, ROWS))
 
 # columns of the kernel's parameter row
 WIDTH, VELOCITY, WEIGHT, PROCESS = range(4)
 COLUMNS = ("kernel_width", "velocity_noise", "model_error_weight", "process_noise_scale")
-WIDTH_OFF = 50.0 - 1e-9  # a kernel of this width or more is a Kalman filter; 50, to rounding
 WEIGHT_OFF = 1e6 - 1e-3  # a model error that costs this much or more stays zero; 1e6, to rounding
 OFF = np.array([50.0, 0.2, 1e6, 1.0])  # where a filter does not expose a column
 
-FLOOR = 1e-12  # of a weight: R/C stays finite
-NUMERICAL, RUNAWAY = 2, 1  # `diverged`
-RUNAWAY_POWER = 1e4  # mean squared innovation over S that counts as running away
-POWER_MEMORY = 0.95
 GAP_RATE, GAP_FORCE = 2e-3, 0.3  # errors of samples that were filled in: rad/s, m/s²
-LOG_2PI = math.log(2.0 * math.pi)
 
 f8, i8 = np.float64, np.int64
-MODEL = np.dtype(
-    [
-        ("dt", f8),
-        ("interval", f8),
-        ("transition", f8, (3, 2, 2)),
-        ("noise", f8, (3, 2, 2)),
-        ("gain", f8, (3, 2)),  # what a constant acceleration adds to (θ, θ̇) in a step
-        ("density", f8, (3,)),
-        ("lever", f8, (3, 3)),
-        ("gyro", f8),  # variance that a step adds to φ
-        ("accelerometer", f8),  # and to δV
-        ("rate", f8),  # variance of a rate difference
-        ("start", f8, (STATES,)),  # standard deviations at the start
-        ("omega", f8, (3,)),  # the main IMU's rate at the start
-    ]
-)
 RULE = np.dtype(
     [
-        ("iterations", i8),  # fixed-point iterations of the weights; 1: from the innovation alone
-        ("by_noise", i8),  # 1: weights are judged by R, as printed
+        *update.RULE,
         ("no_cross", i8),  # 1: Q without the cross block of V_r and θ̇, as printed
-        ("printed_covariance", i8),  # 1: eq. 51 as printed
         ("judged", i8),  # 1: report NIS and likelihood
     ]
 )
 LANE = np.dtype(
     [
-        ("x", f8, (STATES,)),
-        ("P", f8, (STATES, STATES)),
+        *update.fields(STATES, MEASUREMENTS, TOUCHED),
         ("row", f8, (len(COLUMNS),)),
-        ("innovation", f8, (MEASUREMENTS,)),
-        ("variance", f8, (MEASUREMENTS,)),  # diagonal of S
-        ("weight", f8, (MEASUREMENTS,)),
         ("model_error", f8, (3,)),
-        ("nis", f8),
-        ("log_likelihood", f8),
-        ("power", f8),
-        ("diverged", i8),
         ("k", i8),
         ("length", i8),
         # scratch
@@ -91,73 +70,18 @@ LANE = np.dtype(
         ("M", f8, (3, 6)),
         ("C_s", f8, (3, 3)),
         ("C_m", f8, (3, 3)),
-        ("Hv", f8, (3, 9)),  # rows of H over l, δV, V_r
-        ("Hw", f8, (3, 12)),  # rows of H over l, φ, ε, θ̇
-        ("R", f8, (MEASUREMENTS,)),
-        ("used", i8, (MEASUREMENTS,)),
-        ("x_prior", f8, (STATES,)),
-        ("P_prior", f8, (STATES, STATES)),
-        ("column", f8, (STATES,)),
-        ("PH", f8, (MEASUREMENTS, STATES)),
-        ("S", f8, (MEASUREMENTS, MEASUREMENTS)),
     ]
 )
-V_STATES = np.array([0, 1, 2, 3, 4, 5, 15, 16, 17])
-W_STATES = np.array([0, 1, 2, 6, 7, 8, 9, 10, 11, 21, 22, 23])
-
-
-def pack(
-    recording: DualIMURecording, flexures: Sequence[FlexureModel] | None = None
-) -> NDArray[Any]:
-    """What a lane believes: MODEL records, one per flexure model (the recording's by default)."""
-    first = filled(recording)[0][0][:3]
-    return pack_model(recording.model, recording.interval, first, flexures)
-
-
-def pack_model(
-    model: DeckModel, interval: float, first: Array, flexures: Sequence[FlexureModel] | None = None
-) -> NDArray[Any]:
-    """MODEL records without a recording.
-
-    Args:
-        model: what is believed.
-        interval: s between IMU samples.
-        first: (3, 3) rad, the main IMU's first three angle increments.
-        flexures: a record for each of these; the model's own by default.
-    """
-    chosen = [model.flexure] if flexures is None else list(flexures)
-    packed = np.zeros(len(chosen), MODEL)
-    dt = interval * model.samples_per_step
-    packed["dt"], packed["interval"] = dt, interval
-    packed["lever"] = lever_matrix(model.lever_arm)
-    packed["gyro"] = model.gyro_noise**2 * dt
-    packed["accelerometer"] = model.accelerometer_noise**2 * dt
-    packed["rate"] = model.rate_noise**2
-    packed["start"] = _start(model)
-    packed["omega"] = (11.0 * first[0] - 7.0 * first[1] + 2.0 * first[2]) / (6.0 * interval)
-    for record, flexure in zip(packed, chosen, strict=True):
-        write_flexure(record, flexure)
-    return packed
-
-
-def write_flexure(record: Any, flexure: FlexureModel) -> None:
-    """Put a flexure model into a MODEL record."""
-    dt = float(record["dt"])
-    record["transition"] = flexure.transition(dt)
-    record["noise"] = flexure.process_noise(dt)
-    record["gain"][:, 0] = (1.0 - record["transition"][:, 0, 0]) / flexure.stiffness
-    record["gain"][:, 1] = record["transition"][:, 0, 1]
-    record["density"] = flexure.noise_density
-    record["start"][THETA:RATE] = flexure.sigma
-    record["start"][RATE:] = flexure.rate_sigma
-
-
-def _start(model: DeckModel) -> Array:
-    """Standard deviations at the start (SCIENCE B1)."""
-    each = (
-        model.misalignment, 1e-6, 1e-8, model.gyro_bias, model.accelerometer_bias, 1e-6, 0.0, 0.0,
-    )  # fmt: skip
-    return np.repeat(np.array(each), 3)
+REPORT = np.dtype(  # what a step says beside its state
+    [
+        ("innovation", f8, (MEASUREMENTS,)),  # NaN where not used
+        ("weights", f8, (MEASUREMENTS,)),
+        ("model_error", f8, (3,)),
+        ("nis", f8),
+        ("log_likelihood", f8),
+        ("innovation_variance", f8, (MEASUREMENTS,)),
+    ]
+)
 
 
 def begin(lanes: NDArray[Any], models: NDArray[Any], rows: Array) -> None:
@@ -170,20 +94,7 @@ def begin(lanes: NDArray[Any], models: NDArray[Any], rows: Array) -> None:
     lanes["B"][:, :, :3] = np.cross(w[:, None, :], lever.transpose(0, 2, 1)).transpose(0, 2, 1)
     lanes["B"][:, :, 3:] = lever
     lanes["length"] = 2**62
-
-
-@part
-def matrix(q, C):
-    """Rotation matrix of a unit quaternion, scalar first."""
-    C[0, 0] = 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3])
-    C[0, 1] = 2.0 * (q[1] * q[2] - q[0] * q[3])
-    C[0, 2] = 2.0 * (q[1] * q[3] + q[0] * q[2])
-    C[1, 0] = 2.0 * (q[1] * q[2] + q[0] * q[3])
-    C[1, 1] = 1.0 - 2.0 * (q[1] * q[1] + q[3] * q[3])
-    C[1, 2] = 2.0 * (q[2] * q[3] - q[0] * q[1])
-    C[2, 0] = 2.0 * (q[1] * q[3] - q[0] * q[2])
-    C[2, 1] = 2.0 * (q[2] * q[3] + q[0] * q[1])
-    C[2, 2] = 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2])
+    update.touch(lanes, ROWS)
 
 
 @part
@@ -211,19 +122,19 @@ def move_state(lane, model, tape):
     dt = model.dt
     for i in range(3):
         n, m = (i + 1) % 3, (i + 2) % 3
-        x[DV + i] += v[n] * x[PHI + m] - v[m] * x[PHI + n]
+        x[AT.DV + i] += v[n] * x[AT.PHI + m] - v[m] * x[AT.PHI + n]
         for j in range(3):
-            x[DV + i] += dt * C[i, j] * x[NABLA + j]
+            x[AT.DV + i] += dt * C[i, j] * x[AT.NABLA + j]
     for i in range(3):
         for j in range(3):
-            x[PHI + i] -= dt * C[i, j] * x[EPS + j]
+            x[AT.PHI + i] -= dt * C[i, j] * x[AT.EPS + j]
         for j in range(6):
-            x[VR + i] += lane.M[i, j] * x[THETA + j]
+            x[AT.VR + i] += lane.M[i, j] * x[AT.THETA + j]
     for a in range(3):
         F = model.transition
-        p, r = x[THETA + a], x[RATE + a]
-        x[THETA + a] = F[a, 0, 0] * p + F[a, 0, 1] * r
-        x[RATE + a] = F[a, 1, 0] * p + F[a, 1, 1] * r
+        p, r = x[AT.THETA + a], x[AT.RATE + a]
+        x[AT.THETA + a] = F[a, 0, 0] * p + F[a, 0, 1] * r
+        x[AT.RATE + a] = F[a, 1, 0] * p + F[a, 1, 1] * r
 
 
 @part
@@ -235,38 +146,28 @@ def move_rows(lane, model, tape):
         n, m = (i + 1) % 3, (i + 2) % 3
         c0, c1, c2 = dt * C[i, 0], dt * C[i, 1], dt * C[i, 2]
         for j in range(STATES):
-            P[DV + i, j] += (
-                v[n] * P[PHI + m, j] - v[m] * P[PHI + n, j]
-                + c0 * P[NABLA, j] + c1 * P[NABLA + 1, j] + c2 * P[NABLA + 2, j]
+            P[AT.DV + i, j] += (
+                v[n] * P[AT.PHI + m, j] - v[m] * P[AT.PHI + n, j]
+                + c0 * P[AT.NABLA, j] + c1 * P[AT.NABLA + 1, j] + c2 * P[AT.NABLA + 2, j]
             )  # fmt: skip
     for i in range(3):
         c0, c1, c2 = dt * C[i, 0], dt * C[i, 1], dt * C[i, 2]
         for j in range(STATES):
-            P[PHI + i, j] -= c0 * P[EPS, j] + c1 * P[EPS + 1, j] + c2 * P[EPS + 2, j]
+            P[AT.PHI + i, j] -= c0 * P[AT.EPS, j] + c1 * P[AT.EPS + 1, j] + c2 * P[AT.EPS + 2, j]
         m0, m1, m2 = lane.M[i, 0], lane.M[i, 1], lane.M[i, 2]
         m3, m4, m5 = lane.M[i, 3], lane.M[i, 4], lane.M[i, 5]
         for j in range(STATES):
-            P[VR + i, j] += (
-                m0 * P[THETA, j] + m1 * P[THETA + 1, j] + m2 * P[THETA + 2, j]
-                + m3 * P[RATE, j] + m4 * P[RATE + 1, j] + m5 * P[RATE + 2, j]
+            P[AT.VR + i, j] += (
+                m0 * P[AT.THETA, j] + m1 * P[AT.THETA + 1, j] + m2 * P[AT.THETA + 2, j]
+                + m3 * P[AT.RATE, j] + m4 * P[AT.RATE + 1, j] + m5 * P[AT.RATE + 2, j]
             )  # fmt: skip
     for a in range(3):
         f00, f01 = model.transition[a, 0, 0], model.transition[a, 0, 1]
         f10, f11 = model.transition[a, 1, 0], model.transition[a, 1, 1]
         for j in range(STATES):
-            p, r = P[THETA + a, j], P[RATE + a, j]
-            P[THETA + a, j] = f00 * p + f01 * r
-            P[RATE + a, j] = f10 * p + f11 * r
-
-
-@part
-def transpose(lane):
-    """P ← Pᵀ."""
-    for i in range(STATES):
-        for j in range(i):
-            p = lane.P[i, j]
-            lane.P[i, j] = lane.P[j, i]
-            lane.P[j, i] = p
+            p, r = P[AT.THETA + a, j], P[AT.RATE + a, j]
+            P[AT.THETA + a, j] = f00 * p + f01 * r
+            P[AT.RATE + a, j] = f10 * p + f11 * r
 
 
 @part
@@ -275,24 +176,24 @@ def add_noise(lane, model, tape, rule, impulse):
     P, B, scale = lane.P, lane.B, lane.row[PROCESS]
     gap = tape.gap * model.interval
     for i in range(3):
-        P[PHI + i, PHI + i] += model.gyro + (gap * GAP_RATE) ** 2
-        P[DV + i, DV + i] += model.accelerometer + (gap * GAP_FORCE) ** 2
+        P[AT.PHI + i, AT.PHI + i] += model.gyro + (gap * GAP_RATE) ** 2
+        P[AT.DV + i, AT.DV + i] += model.accelerometer + (gap * GAP_FORCE) ** 2
     for a in range(3):
         q00, q01 = scale * model.noise[a, 0, 0], scale * model.noise[a, 0, 1]
         q11 = scale * model.noise[a, 1, 1] + impulse[a]
-        P[THETA + a, THETA + a] += q00
-        P[THETA + a, RATE + a] += q01
-        P[RATE + a, THETA + a] += q01
-        P[RATE + a, RATE + a] += q11
+        P[AT.THETA + a, AT.THETA + a] += q00
+        P[AT.THETA + a, AT.RATE + a] += q01
+        P[AT.RATE + a, AT.THETA + a] += q01
+        P[AT.RATE + a, AT.RATE + a] += q11
         for i in range(3):
             left, right = B[i, a] * q00 + B[i, 3 + a] * q01, B[i, a] * q01 + B[i, 3 + a] * q11
             if not rule.no_cross:
-                P[VR + i, THETA + a] += left
-                P[THETA + a, VR + i] += left
-                P[VR + i, RATE + a] += right
-                P[RATE + a, VR + i] += right
+                P[AT.VR + i, AT.THETA + a] += left
+                P[AT.THETA + a, AT.VR + i] += left
+                P[AT.VR + i, AT.RATE + a] += right
+                P[AT.RATE + a, AT.VR + i] += right
             for j in range(3):
-                P[VR + i, VR + j] += left * B[j, a] + right * B[j, 3 + a]
+                P[AT.VR + i, AT.VR + j] += left * B[j, a] + right * B[j, 3 + a]
 
 
 @part
@@ -302,35 +203,35 @@ def linearize(lane, tape):
     V, w = tape.V_s, tape.w_s
     for i in range(3):
         n, m = (i + 1) % 3, (i + 2) % 3
-        lane.column[i] = w[n] * x[PHI + m] - w[m] * x[PHI + n]
+        lane.column[i] = w[n] * x[AT.PHI + m] - w[m] * x[AT.PHI + n]
         lane.column[3 + i] = 0.0
         for j in range(3):
-            lane.column[i] += C[i, j] * x[EPS + j]
-            lane.column[3 + i] += D[i, j] * x[RATE + j]
+            lane.column[i] += C[i, j] * x[AT.EPS + j]
+            lane.column[3 + i] += D[i, j] * x[AT.RATE + j]
     for i in range(3):
         n, m = (i + 1) % 3, (i + 2) % 3
-        ln, lm = x[L + n], x[L + m]
+        ln, lm = x[AT.L + n], x[AT.L + m]
         # velocity: a = V_s + V_m, d = δV, r = V_r
-        dn, dm, rn, rm = x[DV + n], x[DV + m], x[VR + n], x[VR + m]
+        dn, dm, rn, rm = x[AT.DV + n], x[AT.DV + m], x[AT.VR + n], x[AT.VR + m]
         an, am = V[n] + tape.V_m[n], V[m] + tape.V_m[m]
-        h = an * lm - am * ln + x[DV + i] + ln * dm - lm * dn + x[VR + i] - ln * rm + lm * rn
+        h = an * lm - am * ln + x[AT.DV + i] + ln * dm - lm * dn + x[AT.VR + i] - ln * rm + lm * rn
         lane.innovation[i] = V[i] - tape.V_m[i] - h
-        lane.Hv[i, i] = 0.0
-        lane.Hv[i, n] = -(am - dm + rm)
-        lane.Hv[i, m] = an - dn + rn
+        lane.H[i, i] = 0.0
+        lane.H[i, n] = -(am - dm + rm)
+        lane.H[i, m] = an - dn + rn
         # rate: a = ω_s + ω_m, d = ω_s × φ + C_s ε, r = C_m θ̇
         dn, dm, rn, rm = lane.column[n], lane.column[m], lane.column[3 + n], lane.column[3 + m]
         an, am = w[n] + tape.w_m[n], w[m] + tape.w_m[m]
         h = an * lm - am * ln + lane.column[i] + ln * dm - lm * dn
         h += lane.column[3 + i] - ln * rm + lm * rn
         lane.innovation[3 + i] = w[i] - tape.w_m[i] - h
-        lane.Hw[i, i] = 0.0
-        lane.Hw[i, n] = -(am - dm + rm)
-        lane.Hw[i, m] = an - dn + rn
+        lane.H[3 + i, i] = 0.0
+        lane.H[3 + i, n] = -(am - dm + rm)
+        lane.H[3 + i, m] = an - dn + rn
         # (I + l×) over δV, φ, ε and (I − l×) over V_r, θ̇
-        lane.Hv[i, 3 + i], lane.Hv[i, 6 + i] = 1.0, 1.0
-        lane.Hv[i, 3 + n], lane.Hv[i, 6 + n] = -lm, lm
-        lane.Hv[i, 3 + m], lane.Hv[i, 6 + m] = ln, -ln
+        lane.H[i, 3 + i], lane.H[i, 6 + i] = 1.0, 1.0
+        lane.H[i, 3 + n], lane.H[i, 6 + n] = -lm, lm
+        lane.H[i, 3 + m], lane.H[i, 6 + m] = ln, -ln
         for j in range(3):
             j1, j2 = (j + 1) % 3, (j + 2) % 3
             # column j of ω_s×: e_{j+1} ω_{j+2} − e_{j+2} ω_{j+1}
@@ -341,66 +242,9 @@ def linearize(lane, tape):
                 s = -w[j1]
             sn = w[j2] if n == j1 else (-w[j1] if n == j2 else 0.0)
             sm = w[j2] if m == j1 else (-w[j1] if m == j2 else 0.0)
-            lane.Hw[i, 3 + j] = s + ln * sm - lm * sn
-            lane.Hw[i, 6 + j] = C[i, j] + ln * C[m, j] - lm * C[n, j]
-            lane.Hw[i, 9 + j] = D[i, j] - ln * D[m, j] + lm * D[n, j]
-
-
-@part
-def project(lane, c):
-    """column = P H_cᵀ for measurement c, and H_c P H_cᵀ, which is returned."""
-    P, total = lane.P, 0.0
-    for i in range(STATES):
-        lane.column[i] = 0.0
-    if c < 3:
-        for a in range(9):
-            h, j = lane.Hv[c, a], V_STATES[a]
-            for i in range(STATES):
-                lane.column[i] += h * P[j, i]
-        for a in range(9):
-            total += lane.Hv[c, a] * lane.column[V_STATES[a]]
-    else:
-        for a in range(12):
-            h, j = lane.Hw[c - 3, a], W_STATES[a]
-            for i in range(STATES):
-                lane.column[i] += h * P[j, i]
-        for a in range(12):
-            total += lane.Hw[c - 3, a] * lane.column[W_STATES[a]]
-    return total
-
-
-@part
-def spread(lane, c):
-    """H_c P H_cᵀ from the few states that the measurement touches."""
-    total = 0.0
-    if c < 3:
-        for a in range(9):
-            s = 0.0
-            for b in range(9):
-                s += lane.Hv[c, b] * lane.P[V_STATES[a], V_STATES[b]]
-            total += lane.Hv[c, a] * s
-    else:
-        for a in range(12):
-            s = 0.0
-            for b in range(12):
-                s += lane.Hw[c - 3, b] * lane.P[W_STATES[a], W_STATES[b]]
-            total += lane.Hw[c - 3, a] * s
-    return total
-
-
-@part
-def shift(lane, c):
-    """H_c (x − x⁻): by how much the updates so far have moved the prediction of measurement c."""
-    total = 0.0
-    if c < 3:
-        for a in range(9):
-            j = V_STATES[a]
-            total += lane.Hv[c, a] * (lane.x[j] - lane.x_prior[j])
-    else:
-        for a in range(12):
-            j = W_STATES[a]
-            total += lane.Hw[c - 3, a] * (lane.x[j] - lane.x_prior[j])
-    return total
+            lane.H[3 + i, 3 + j] = s + ln * sm - lm * sn
+            lane.H[3 + i, 6 + j] = C[i, j] + ln * C[m, j] - lm * C[n, j]
+            lane.H[3 + i, 9 + j] = D[i, j] - ln * D[m, j] + lm * D[n, j]
 
 
 @part
@@ -415,8 +259,8 @@ def predict_error(lane, model):
         g0, g1 = model.gain[a, 0], model.gain[a, 1]
         for c in range(3):
             for i in range(3):
-                G[c, a] += lane.Hv[c, 6 + i] * (lane.B[i, a] * g0 + lane.B[i, 3 + a] * g1)
-            G[3 + c, a] = lane.Hw[c, 9 + a] * g1
+                G[c, a] += lane.H[c, 6 + i] * (lane.B[i, a] * g0 + lane.B[i, 3 + a] * g1)
+            G[3 + c, a] = lane.H[3 + c, 9 + a] * g1
     for a in range(3):
         N[a, a] = lane.row[WEIGHT] * model.dt / model.density[a]
         for c in range(MEASUREMENTS):
@@ -437,120 +281,10 @@ def predict_error(lane, model):
     for a in range(3):
         D = lane.model_error[a]
         g0, g1 = model.gain[a, 0], model.gain[a, 1]
-        lane.x[THETA + a] += g0 * D
-        lane.x[RATE + a] += g1 * D
+        lane.x[AT.THETA + a] += g0 * D
+        lane.x[AT.RATE + a] += g1 * D
         for i in range(3):
-            lane.x[VR + i] += (lane.B[i, a] * g0 + lane.B[i, 3 + a] * g1) * D
-
-
-@part
-def weigh(lane, rule, iteration):
-    """Weights of the measurements by the correntropy criterion (eq. 45, 53).
-
-    Judged by S = H P Hᵀ + R, or by R alone as printed, where a predictable innovation is rejected
-    as soon as H P Hᵀ ≫ R. Beyond the first iteration the residual stands for the innovation.
-    """
-    width = lane.row[WIDTH]
-    for c in range(MEASUREMENTS):
-        lane.weight[c] = 1.0
-        if width < WIDTH_OFF and lane.used[c]:
-            e = lane.innovation[c]
-            if iteration > 0:
-                e -= shift(lane, c)
-            scale = lane.R[c] if rule.by_noise else lane.variance[c]
-            lane.weight[c] = max(math.exp(-0.5 * e * e / (width * width * scale)), FLOOR)
-
-
-@part
-def correct(lane, rule):
-    """x and P by the six measurements in turn, each with R/C (eq. 50-52, corrected)."""
-    for c in range(MEASUREMENTS):
-        if not lane.used[c]:
-            continue
-        R = lane.R[c] / lane.weight[c]
-        S = project(lane, c) + R
-        if not S > 0.0:
-            lane.diverged = NUMERICAL
-            S = math.nan
-        e = (lane.innovation[c] - shift(lane, c)) / S
-        root = 1.0 / math.sqrt(S)
-        if rule.printed_covariance:  # Pzz = H P Hᵀ C + R there: too little by the factor C
-            root *= math.sqrt(lane.weight[c])
-        for i in range(STATES):
-            lane.x[i] += lane.column[i] * e
-        for i in range(STATES):
-            lane.column[i] *= root
-        for i in range(STATES):
-            a = lane.column[i]
-            for j in range(STATES):
-                lane.P[i, j] -= a * lane.column[j]
-
-
-@part
-def judge(lane):
-    """NIS and log-likelihood of the innovation under S = H P⁻ Hᵀ + R, unweighted."""
-    S, count, log_det, nis = lane.S, 0, 0.0, 0.0
-    for c in range(MEASUREMENTS):
-        project(lane, c)
-        for i in range(STATES):
-            lane.PH[c, i] = lane.column[i]
-        for d in range(c + 1):
-            s = 0.0
-            if d < 3:
-                for a in range(9):
-                    s += lane.Hv[d, a] * lane.PH[c, V_STATES[a]]
-            else:
-                for a in range(12):
-                    s += lane.Hw[d - 3, a] * lane.PH[c, W_STATES[a]]
-            S[c, d] = s
-        S[c, c] += lane.R[c]
-    for c in range(MEASUREMENTS):  # Cholesky factor in place, innovation whitened on the way
-        if not lane.used[c]:
-            for d in range(c):
-                S[c, d] = 0.0
-            S[c, c] = 1.0
-        for d in range(c + 1):
-            s = S[c, d]
-            if not lane.used[d] and d < c:
-                s = 0.0
-            for a in range(d):
-                s -= S[c, a] * S[d, a]
-            S[c, d] = math.sqrt(s) if d == c else s / S[d, d]
-        z = lane.innovation[c] if lane.used[c] else 0.0
-        for d in range(c):
-            z -= S[c, d] * lane.column[d]
-        lane.column[c] = z / S[c, c]
-        if lane.used[c]:
-            count += 1
-            nis += lane.column[c] ** 2
-            log_det += 2.0 * math.log(S[c, c])
-    lane.nis = nis if count > 0 else math.nan
-    lane.log_likelihood = -0.5 * (nis + log_det + count * LOG_2PI) if count > 0 else math.nan
-
-
-@part
-def settle(lane):
-    """Flag a lane that failed or ran away; a failed one answers NaN from then on."""
-    total, power, count = 0.0, 0.0, 0
-    for i in range(STATES):
-        total += lane.x[i] + lane.P[i, i]
-        if not lane.P[i, i] >= 0.0:
-            total = math.nan
-    for c in range(MEASUREMENTS):
-        if lane.used[c]:
-            power += min(lane.innovation[c] ** 2 / lane.variance[c], 10.0 * RUNAWAY_POWER)
-            count += 1
-    if count > 0:
-        lane.power = POWER_MEMORY * lane.power + (1.0 - POWER_MEMORY) * power / count
-    if not math.isfinite(total):
-        lane.diverged = NUMERICAL
-    if lane.power >= RUNAWAY_POWER and lane.diverged == 0:
-        lane.diverged = RUNAWAY
-    if lane.diverged == NUMERICAL:
-        for i in range(STATES):
-            lane.x[i] = math.nan
-            for j in range(STATES):
-                lane.P[i, j] = math.nan
+            lane.x[AT.VR + i] += (lane.B[i, a] * g0 + lane.B[i, 3 + a] * g1) * D
 
 
 @part
@@ -560,7 +294,7 @@ def step(lane, model, tape, rule, impulse, disturbance):
     lever_step(lane, model, tape)
     move_state(lane, model, tape)
     move_rows(lane, model, tape)
-    transpose(lane)
+    update.transpose(lane)
     move_rows(lane, model, tape)
     add_noise(lane, model, tape, rule, impulse)
     linearize(lane, tape)
@@ -572,42 +306,50 @@ def step(lane, model, tape, rule, impulse, disturbance):
         lane.used[i] = 1
         lane.used[3 + i] = 1 if tape.gap == 0 else 0
     if rule.judged:
-        judge(lane)
+        update.judge(lane)
     for i in range(3):
         lane.model_error[i] = 0.0
     if lane.row[WEIGHT] < WEIGHT_OFF:
         predict_error(lane, model)
         linearize(lane, tape)
-    for c in range(MEASUREMENTS):
-        lane.variance[c] = spread(lane, c) + lane.R[c]
-    for i in range(STATES):
-        lane.x_prior[i] = lane.x[i]
-    if rule.iterations > 1:
-        for i in range(STATES):
-            for j in range(STATES):
-                lane.P_prior[i, j] = lane.P[i, j]
-    weigh(lane, rule, 0)
-    correct(lane, rule)
-    for iteration in range(1, rule.iterations):
-        weigh(lane, rule, iteration)
-        for i in range(STATES):
-            lane.x[i] = lane.x_prior[i]
-            for j in range(STATES):
-                lane.P[i, j] = lane.P_prior[i, j]
-        correct(lane, rule)
-    settle(lane)
+    update.expect(lane)
+    update.robust(lane, rule, lane.row[WIDTH])
+    update.check(lane)
     lane.k += 1
+
+
+@part
+def write_report(lane, report):
+    """What the lane says of its last step."""
+    for c in range(MEASUREMENTS):
+        report.innovation[c] = lane.innovation[c] if lane.used[c] else math.nan
+        report.weights[c] = lane.weight[c]
+        report.innovation_variance[c] = lane.variance[c]
+    for a in range(3):
+        report.model_error[a] = lane.model_error[a]
+    report.nis = lane.nis
+    report.log_likelihood = lane.log_likelihood
 
 
 @kernel
 def run(
-    lanes, models, tapes, rules, table, interval, impulse, disturbance, outputs, wide, covariances
+    lanes,
+    models,
+    tapes,
+    rules,
+    table,
+    interval,
+    impulse,
+    disturbance,
+    outputs,
+    reports,
+    covariances,
 ):
     """Filter each lane to its `length` or its tape's end.
 
     Args:
         lanes: (N,) as `begin` or an earlier run left them.
-        models: (N, M) MODEL records.
+        models: (N, M) records `alignment_model.MODEL`.
         tapes: (N, K).
         rules: (1,) RULE.
         table: (N or 1, intervals, 4) parameters; row k // interval holds in step k, the last to the end.
@@ -615,7 +357,7 @@ def run(
         impulse: (N, K, 3) variance to add to θ̇, or (N, 0, 3).
         disturbance: (N, K, 6) variance to add to R, or (N, 0, 6).
         outputs: (N, K, 24) states.
-        wide: (N, K or 0, 23): innovations, weights, model error, NIS, log-likelihood, S diagonal.
+        reports: (N, K or 0) REPORT.
         covariances: (N, K or 0, 24, 24).
     """
     rule = rules[0]
@@ -632,15 +374,8 @@ def run(
             step(lane, models[i, tape.model], tape, rule, jump, extra)
             for a in range(STATES):
                 outputs[i, k, a] = lane.x[a]
-            if wide.shape[1] > 0:
-                for a in range(MEASUREMENTS):
-                    wide[i, k, a] = lane.innovation[a] if lane.used[a] else math.nan
-                    wide[i, k, 6 + a] = lane.weight[a]
-                    wide[i, k, 17 + a] = lane.variance[a]
-                for a in range(3):
-                    wide[i, k, 12 + a] = lane.model_error[a]
-                wide[i, k, 15] = lane.nis
-                wide[i, k, 16] = lane.log_likelihood
+            if reports.shape[1] > 0:
+                write_report(lane, reports[i, k])
             if covariances.shape[1] > 0:
                 for a in range(STATES):
                     for b in range(STATES):

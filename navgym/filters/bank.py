@@ -29,16 +29,15 @@ from navgym._compile import kernel, part
 from navgym.batch import Batch, outputs
 from navgym.filters.lane import (
     LOG_2PI,
-    NUMERICAL,
     expect,
     fields,
     padded,
     receive,
     report,
-    settle,
     start,
 )
 from navgym.filters.linalg import predict
+from navgym.health import NUMERICAL, settle
 from navgym.models import record
 
 if TYPE_CHECKING:

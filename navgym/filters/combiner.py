@@ -38,7 +38,8 @@ from navgym.filters.bank import (
     run_lanes,
     step,
 )
-from navgym.filters.lane import NUMERICAL, receive, report
+from navgym.filters.lane import receive, report
+from navgym.health import NUMERICAL
 
 BOUND = 5.0  # of what is added to the log-weight of one R scale or one regime
 CLIP = 8.0  # of a normalised input

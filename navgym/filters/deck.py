@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from navgym._checks import Array
 from navgym.deck_batch import DeckBatch
 from navgym.filters import alignment as kernels
+from navgym.filters import alignment_model
 from navgym.filters.catalogue import Deck, Filter
 from navgym.flexure import FlexureModel
 from navgym.increments import increments_of, rodrigues
@@ -48,8 +49,8 @@ def estimate(
         everything: whether to return covariances and what belongs to each innovation.
 
     Returns:
-        Arrays (N, K, ...): states; with `everything` also `wide` (see `alignment.run`) and
-        covariances; `diverged` (N,); `flexures`, a list of `Identified` per recording.
+        Arrays (N, K, ...): states; with `everything` also `report` (records `alignment.REPORT`)
+        and covariances; `diverged` (N,); `flexures`, a list of `Identified` per recording.
     """
     count, steps = batch.tapes.shape
     rows = np.ascontiguousarray(full_table(chosen.space, table))
@@ -59,14 +60,14 @@ def estimate(
     elif option.truth:
         batch, models = _true_models(batch)
     else:
-        models = np.stack([kernels.pack(r) for r in batch.recordings])
+        models = np.stack([alignment_model.pack(r) for r in batch.recordings])
     lanes = np.zeros(count, kernels.LANE)
     kernels.begin(lanes, models, rows[:, 0])
     world = (batch.tapes, rule_of(option, everything), rows, interval, *_known_noise(batch, option))
     rest = steps if everything else 0
     outputs = {
         "states": np.full((count, steps, kernels.STATES), np.nan),
-        "wide": np.full((count, rest, 23), np.nan),
+        "report": np.full((count, rest), np.nan, kernels.REPORT),
         "covariances": np.full((count, rest, kernels.STATES, kernels.STATES), np.nan),
     }
     flexures: list[list[Identified]] = [[] for _ in range(count)]
@@ -88,19 +89,24 @@ def rule_of(option: Deck, judged: bool) -> NDArray[Any]:
 
 
 def full_table(space: ParameterSpace, table: Array) -> Array:
-    """`table` (·, ·, parameters) in the kernel's columns; those not exposed are off."""
-    found = np.broadcast_to(kernels.OFF, (*table.shape[:2], len(kernels.OFF))).copy()
-    for column, name in enumerate(kernels.COLUMNS):
-        if name in space.names:
-            found[..., column] = table[..., space.index(name)]
+    """`table` (..., parameters) of a space in the kernel's columns; those not exposed are off."""
+    where = columns_of(space)
+    found = np.broadcast_to(kernels.OFF, (*table.shape[:-1], len(kernels.OFF))).copy()
+    found[..., where >= 0] = table[..., where[where >= 0]]
     return found
+
+
+def columns_of(space: ParameterSpace) -> NDArray[np.int64]:
+    """Where each of the kernel's columns stands in a space; -1 where it is not exposed."""
+    names = space.names
+    return np.array([names.index(c) if c in names else -1 for c in kernels.COLUMNS])
 
 
 def printed_models(recording: Any, flexure: FlexureModel | None = None) -> NDArray[Any]:
     """MODEL records of the printed filter: damping 2b whatever was identified (eq. 76)."""
     given = recording.model.flexure if flexure is None else flexure
     b = np.sqrt(given.stiffness)
-    return kernels.pack(recording, [FlexureModel(2.0 * b, b**2, given.sigma)])
+    return alignment_model.pack(recording, [FlexureModel(2.0 * b, b**2, given.sigma)])
 
 
 def _true_models(batch: DeckBatch) -> tuple[DeckBatch, NDArray[Any]]:
@@ -110,7 +116,7 @@ def _true_models(batch: DeckBatch) -> tuple[DeckBatch, NDArray[Any]]:
         rows, which = np.unique(r.true_flexure, axis=0, return_inverse=True)
         models = [FlexureModel(row[:3], row[3:6], row[6:]) for row in rows]
         tapes["model"][i, : len(which)] = which.ravel()
-        packed.append(kernels.pack(r, models))
+        packed.append(alignment_model.pack(r, models))
         packed[-1]["start"] = packed[-1]["start"][which.ravel()[0]]
     most = max(len(p) for p in packed)
     stacked = [np.concatenate([p, p[[-1] * (most - len(p))]]) for p in packed]
@@ -192,7 +198,7 @@ def identify_lane(
     """
     from navgym.identification import identify, shrink
 
-    end, l = int(lane["k"]), lane["x"][:3].copy()  # noqa: E741
+    end, l = int(lane["k"]), lane["x"][kernels.L].copy()  # noqa: E741
     if not np.isfinite(l).all():
         return None
     frame = "body" if option.printed else "inertial"
@@ -215,4 +221,4 @@ def put_flexure(
     if option.printed:
         models[i] = printed_models(batch.recordings[i], flexure)
     else:
-        kernels.write_flexure(models[i, 0], flexure)
+        alignment_model.write_flexure(models[i, 0], flexure)

@@ -29,10 +29,10 @@ from navgym.filters.lane import (
     receive,
     remember,
     report,
-    settle,
     start,
 )
 from navgym.filters.linalg import predict
+from navgym.health import settle
 
 if TYPE_CHECKING:
     from navgym.filters.catalogue import Filter

@@ -16,14 +16,10 @@ from navgym._checks import Array
 from navgym._compile import part
 from navgym.batch import Batch, outputs
 from navgym.filters.linalg import correct, innovate, joseph, observe_vector
+from navgym.health import NUMERICAL, POWER_MEMORY, SPIKE, watch_power
 
-NUMERICAL = 2  # `diverged`: a covariance lost its definiteness or a value stopped being finite
-RUNAWAY = 1  # `diverged`: innovations far beyond anything that the measurement noise explains
-RUNAWAY_POWER = 1e4  # mean square innovation over nominal R that counts as running away: 100 sigma
 LOG_2PI = math.log(2.0 * math.pi)
-SAMPLE_POWER = 10.0 * RUNAWAY_POWER  # what one sample can at most count: a spike is no runaway
 NO_LIMIT = 2**62
-POWER_MEMORY = 0.95  # of the exponential mean that watches it: about 20 received samples
 
 
 def fields(n: int, m: int) -> list[tuple[str, Any, tuple[int, ...]]]:
@@ -177,27 +173,7 @@ def judge(lane, model, received, whitened):
     lane.log_likelihood = -0.5 * (nis + log_det + received * LOG_2PI)
     if not (ok and math.isfinite(power)):
         lane.diverged = NUMERICAL
-    power = min(power / received, SAMPLE_POWER)
-    lane.power = POWER_MEMORY * lane.power + (1.0 - POWER_MEMORY) * power
-    if lane.power >= RUNAWAY_POWER and lane.diverged == 0:
-        lane.diverged = RUNAWAY
-
-
-@part
-def settle(lane):
-    """Flag a lane whose state is no longer finite and turn its answer into NaN."""
-    total = 0.0
-    for i in range(lane.x.shape[0]):
-        total += lane.x[i] + lane.P[i, i]
-        if not lane.P[i, i] >= 0.0:
-            total = math.nan
-    if not math.isfinite(total):
-        lane.diverged = NUMERICAL
-    if lane.diverged == NUMERICAL:
-        for i in range(lane.x.shape[0]):
-            lane.x[i] = math.nan
-            for j in range(lane.x.shape[0]):
-                lane.P[i, j] = math.nan
+    watch_power(lane, min(power / received, SPIKE), 1)
 
 
 @part

@@ -28,7 +28,6 @@ from navgym._checks import Array
 from navgym._compile import kernel, part
 from navgym.batch import Batch
 from navgym.filters.lane import (
-    NUMERICAL,
     apply_innovation,
     estimate_lanes,
     expect,
@@ -39,10 +38,10 @@ from navgym.filters.lane import (
     padded,
     receive,
     report,
-    settle,
     start,
 )
 from navgym.filters.linalg import correct, factorise, observe_vector, predict, whiten
+from navgym.health import NUMERICAL, settle
 
 if TYPE_CHECKING:
     from navgym.filters.catalogue import Filter

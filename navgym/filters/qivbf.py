@@ -19,7 +19,6 @@ from navgym._checks import Array
 from navgym._compile import kernel, part
 from navgym.batch import Batch
 from navgym.filters.lane import (
-    NUMERICAL,
     estimate_lanes,
     expect,
     fields,
@@ -29,7 +28,6 @@ from navgym.filters.lane import (
     receive,
     remember,
     report,
-    settle,
     start,
 )
 from navgym.filters.linalg import (
@@ -42,6 +40,7 @@ from navgym.filters.linalg import (
     observe_vector,
     predict,
 )
+from navgym.health import NUMERICAL, settle
 
 if TYPE_CHECKING:
     from navgym.filters.catalogue import Filter

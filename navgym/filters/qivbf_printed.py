@@ -23,7 +23,6 @@ from navgym._checks import Array
 from navgym._compile import kernel, part
 from navgym.batch import Batch
 from navgym.filters.lane import (
-    NUMERICAL,
     estimate_lanes,
     expect,
     fields,
@@ -31,10 +30,10 @@ from navgym.filters.lane import (
     receive,
     remember,
     report,
-    settle,
     start,
 )
 from navgym.filters.linalg import correct, innovate, observe_vector
+from navgym.health import NUMERICAL, settle
 
 if TYPE_CHECKING:
     from navgym.filters.catalogue import Filter

@@ -71,10 +71,10 @@ def run_errors(batch: DeckBatch, i: int, states: Array, attitude: bool = True) -
     from navgym.filters.alignment import RATE, THETA
 
     tape, recording = batch.tapes[i, : len(states)], batch.recordings[i]
-    theta = (states[:, THETA:RATE] - tape["theta"]) / ARCMIN
+    theta = (states[:, THETA] - tape["theta"]) / ARCMIN
     found: dict[str, Any] = {
         "theta": theta,
-        "theta_rate": (states[:, RATE:] - tape["theta_rate"]) / ARCMIN,
+        "theta_rate": (states[:, RATE] - tape["theta_rate"]) / ARCMIN,
         "theta_ac": theta - moving_mean(theta, round(MEAN_SECONDS / batch.step)),
     }
     if attitude:

@@ -6,8 +6,9 @@ Called, it lists the catalogue.
 import sys
 
 from navgym._callable import CallableModule
+from navgym.inertial.imu import ImuErrors
 from navgym.scenarios.auv import CATALOGUE, SHIFTS, AUVScenario, Loss, Regime, Turns
-from navgym.scenarios.deck import DECK_CATALOGUE, DeckRegime, DeckScenario, ImuErrors
+from navgym.scenarios.deck import DECK_CATALOGUE, DeckRegime, DeckScenario
 from navgym.scenarios.seeds import SPLITS, seeds, split_of
 
 __all__ = [

@@ -22,15 +22,16 @@ from scipy.spatial.transform import Rotation
 from navgym._checks import Array
 from navgym._compile import kernel, part
 from navgym.deck_model import DeckModel
-from navgym.dual_imu import GRAVITY, DualIMURecording
+from navgym.dual_imu import DualIMURecording
 from navgym.flexure import ARCMIN
-from navgym.scenarios.deck import DeckScenario, ImuErrors
+from navgym.inertial.earth import EARTH_RATE, GRAVITY
+from navgym.inertial.imu_simulation import add_errors
+from navgym.inertial.strapdown import local_rate
+from navgym.scenarios.deck import DeckScenario
 from navgym.scenarios.seeds import split_of
 from navgym.simulation.regimes import sequence
 
 STREAM = 0xD0  # first word of every deck seed sequence
-EARTH_RATE = 7.292115e-5  # rad/s
-EARTH_RADIUS = 6378137.0  # m
 
 
 def simulate(scenario: DeckScenario, seeds: Sequence[int]) -> list[DualIMURecording]:
@@ -52,8 +53,8 @@ def _one(scenario: DeckScenario, seed: int) -> DualIMURecording:
     theta, rate = _flexure(scenario, regime, jumps, flexing)
     motion = np.empty((4, T, 3))
     _move(scenario, theta, rate, motion)
-    _err(motion[0], motion[1], scenario.main, scenario.rate, main)
-    _err(motion[2], motion[3], scenario.sub, scenario.rate, sub)
+    add_errors(motion[0], motion[1], scenario.main, scenario.rate, main)
+    add_errors(motion[2], motion[3], scenario.sub, scenario.rate, sub)
     motion[2] += _outliers(scenario, regime, outliers)
     disturbance, variance = _glitches(scenario, steps, glitches)
     lever = np.array(scenario.lever_arm) + scenario.lever_error * order.standard_normal(3)
@@ -169,10 +170,7 @@ def attend(ship, phase, omega, force):
     sh, ch = math.sin(heading), math.cos(heading)
     north, east = ship[8] * math.cos(ship[6]), ship[8] * math.sin(ship[6])
     sl, cl = math.sin(ship[7]), math.cos(ship[7])
-    # rate of the local frame in inertial space: earth rate and transport rate
-    wn = EARTH_RATE * cl + east / EARTH_RADIUS
-    we = -north / EARTH_RADIUS
-    wd = -EARTH_RATE * sl - east * sl / cl / EARTH_RADIUS
+    wn, we, wd = local_rate(sl, cl, north, east)
     # specific force in the local frame: Coriolis less gravity
     un, ue, ud = wn + EARTH_RATE * cl, we, wd - EARTH_RATE * sl
     fn, fe, fd = -ud * east, ud * north, un * east - ue * north - GRAVITY
@@ -262,30 +260,6 @@ def sail(ship, lever, static, h, theta, rate, out):
             for j in range(2):
                 before[j, i] = after[j, i]
             u0[i] = u1[i]
-
-
-def _err(
-    angle: Array, velocity: Array, errors: ImuErrors, rate: float, rng: np.random.Generator
-) -> None:
-    """Add an IMU's errors to its increments (T, 3), in place."""
-    drift, walk, bias, shake, scale, tilt = errors.si
-    h = 1.0 / rate
-    for increments, constant, noise in ((angle, drift, walk), (velocity, bias, shake)):
-        M = np.diag(scale * rng.standard_normal(3))
-        x, y, z = tilt * rng.standard_normal(3)
-        M += np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        steady = constant * rng.standard_normal(3) * h
-        spoil(increments, M, steady, noise * math.sqrt(h), rng.standard_normal(increments.shape))
-
-
-@kernel
-def spoil(increments, M, steady, deviation, noise):
-    """Add M x + steady + deviation · noise to increments x (T, 3), in place."""
-    for k in range(len(increments)):
-        x, y, z = increments[k, 0], increments[k, 1], increments[k, 2]
-        for i in range(3):
-            wrong = M[i, 0] * x + M[i, 1] * y + M[i, 2] * z + steady[i]
-            increments[k, i] += wrong + deviation * noise[k, i]
 
 
 def _glitches(

@@ -11,6 +11,7 @@ from agents.streaming import SelfTuningFilter
 from navgym.deck_batch import DeckBatch
 from navgym.deck_estimation import attitudes, run_deck
 from navgym.envs.deck import DeckDeformationEnv
+from navgym.filters.alignment import THETA
 from navgym.flexure import ARCMIN
 from tests.agents.live import episode, parameters, schedule, some_policy, stacked
 
@@ -57,7 +58,7 @@ class TestDeckParity:
         found = list(deck_filter(recording, policy).follow(recording))
         np.testing.assert_array_equal(stacked(found, "state"), run["states"][0])
         np.testing.assert_array_equal(stacked(found, "covariance"), run["covariances"][0])
-        np.testing.assert_array_equal(stacked(found, "nis"), run["wide"][0, :, 15])
+        np.testing.assert_array_equal(stacked(found, "nis"), run["report"]["nis"][0])
         np.testing.assert_array_equal(parameters(space, found), whole)
         tape = DeckBatch.of([recording]).tapes[0]
         attitude, static = attitudes(tape, run["states"][0])
@@ -112,7 +113,7 @@ class TestDeckSamples:
                 gaps.append(int(estimate.tape["gap"][0]))
         assert gaps == [5 if 800 <= k < 806 else 0 for k in range(1200)]
         assert np.trace(found[806].covariance[6:9, 6:9]) > np.trace(whole[806].covariance[6:9, 6:9])
-        theta = [stacked(each[-100:], "state")[:, 18:21] for each in (whole, found)]
+        theta = [stacked(each[-100:], "state")[:, THETA] for each in (whole, found)]
         assert np.abs(theta[0] - theta[1]).max() < 3.0 * ARCMIN
 
     def test_filtering_begins_with_the_first_complete_sample(self):

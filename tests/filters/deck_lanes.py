@@ -3,15 +3,17 @@
 import numpy as np
 
 from navgym.filters import alignment as kernels
+from navgym.filters import alignment_model
 from navgym.filters.mechanization import tapes_of
 
+REPORT = kernels.REPORT.names
 OFF = dict(zip(kernels.COLUMNS, kernels.OFF, strict=True))
 
 
 def prepare(recordings, flexures=None, **parameters):
     """Lanes, models, tapes and the table (1, 1, 4) of a run; keywords are kernel columns."""
     tapes, lengths = tapes_of(recordings)
-    models = np.stack([kernels.pack(r, flexures) for r in recordings])
+    models = np.stack([alignment_model.pack(r, flexures) for r in recordings])
     row = np.array([[list((OFF | parameters).values())]])
     lanes = np.zeros(len(recordings), kernels.LANE)
     kernels.begin(lanes, models, row[:, 0])
@@ -28,22 +30,21 @@ def rule_of(**rule):
 
 
 def outputs_for(tapes, everything=True):
-    """NaN arrays for the kernel to fill: states, `wide` and covariances."""
+    """NaN arrays for the kernel to fill: states, reports and covariances."""
     count, steps = tapes.shape
-    rest = steps if everything else 0
+    rest, n = steps if everything else 0, kernels.STATES
     return [
-        np.full(shape, np.nan)
-        for shape in ((count, steps, 24), (count, rest, 23), (count, rest, 24, 24))
+        np.full((count, steps, n), np.nan),
+        np.full((count, rest), np.nan, kernels.REPORT),
+        np.full((count, rest, n, n), np.nan),
     ]
 
 
-def named(states, wide, covariances):
+def named(states, report, covariances):
     """Outputs of one lane or of all by the names of a DeckEstimate."""
     return {
-        "states": states, "covariances": covariances, "innovations": wide[..., :6],
-        "weights": wide[..., 6:12], "model_error": wide[..., 12:15], "nis": wide[..., 15],
-        "log_likelihood": wide[..., 16], "innovation_variance": wide[..., 17:23],
-    }  # fmt: skip
+        "states": states, "covariances": covariances, "innovations": report["innovation"],
+    } | {name: report[name] for name in REPORT if name != "innovation"}  # fmt: skip
 
 
 def run_alignment(

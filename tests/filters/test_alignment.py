@@ -8,10 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import navgym
+from navgym import health
 from navgym.deck_estimation import attitude_error, attitudes
 from navgym.filters import alignment as kernels
 from navgym.filters.mechanization import TAPE
 from navgym.flexure import ARCMIN, FlexureModel
+from navgym.inertial import update
 from navgym.simulation import simulate_many
 from tests.filters.deck_lanes import outputs_for, prepare, rule_of, run_alignment
 from tests.twins import alignment as twin
@@ -48,7 +50,7 @@ def deviations(found):
 
 def theta_errors(found):
     """(N, K, 3) rad."""
-    return found["states"][..., 18:21] - found["tapes"]["theta"]
+    return found["states"][..., kernels.THETA] - found["tapes"]["theta"]
 
 
 def none(count):
@@ -164,7 +166,9 @@ def test_steps_with_filled_samples_widen_p_and_leave_the_rates_unused(glitchy):
     assert np.isfinite(found["innovations"][0, 35:]).all()
     assert found["nis"][0] == pytest.approx(np.array(wanted["nis"]), rel=1e-6)
     whole = run_alignment([glitchy])
-    assert (deviations(found)[0, 34, 6:9] > 5.0 * deviations(whole)[0, 34, 6:9]).all()
+    assert (
+        deviations(found)[0, 34, kernels.PHI] > 5.0 * deviations(whole)[0, 34, kernels.PHI]
+    ).all()
 
 
 @given(seed=st.integers(0, 2**32 - 1), degrees=st.floats(0.0, 60.0))
@@ -198,9 +202,11 @@ def test_the_twins_jacobian_is_the_derivative_of_its_measurement(seed, degrees):
 
 def theta_shift(recording, name, values, reference):
     """How far, in its standard deviations, θ and θ̇ move as a parameter takes each of `values`."""
-    sd = deviations(reference)[0, :, 18:]
-    runs = [run_alignment([recording], **{name: v})["states"][0, :, 18:] for v in values]
-    return [(np.abs(r - reference["states"][0, :, 18:]) / sd).max() for r in runs]
+    sd = deviations(reference)[0, :, kernels.FLEXING]
+    runs = [
+        run_alignment([recording], **{name: v})["states"][0, :, kernels.FLEXING] for v in values
+    ]
+    return [(np.abs(r - reference["states"][0, :, kernels.FLEXING]) / sd).max() for r in runs]
 
 
 def test_correntropy_tends_to_the_kalman_filter_as_one_over_width_squared(calm):
@@ -273,7 +279,7 @@ def test_correntropy_ignores_a_glitch_of_any_size(channel, size, calm):
     value = np.zeros(6)
     value[channel] = size * np.sqrt(clean["innovation_variance"][0, 600, channel])
     hit = run_alignment([struck(calm, 600, value)], kernel_width=3.0)
-    assert hit["weights"][0, 600, channel] == kernels.FLOOR
+    assert hit["weights"][0, 600, channel] == update.FLOOR
     assert np.isfinite(hit["states"]).all()
     assert np.isfinite(hit["covariances"]).all()
     # the filter that used the datum and the one that lost it differ, but as both expect
@@ -285,7 +291,10 @@ def test_correntropy_ignores_a_glitch_of_any_size(channel, size, calm):
 def test_the_plain_filter_believes_a_glitch(calm):
     clean = run_alignment([calm])
     hit = run_alignment([struck(calm, 600, [0.0, 0.0, 0.0, 0.02, 0.0, 0.0])])
-    apart = np.abs(hit["states"] - clean["states"])[0, 600, 18:] / deviations(clean)[0, 600, 18:]
+    apart = (
+        np.abs(hit["states"] - clean["states"])[0, 600, kernels.FLEXING]
+        / deviations(clean)[0, 600, kernels.FLEXING]
+    )
     assert apart.max() > 30.0
 
 
@@ -303,7 +312,7 @@ def from_a_minute_on(recordings, **rule):
         attitude_error(q, r.at_steps(r.reference)[1800:])
         for q, r in zip(estimated, recordings, strict=True)
     ]
-    return np.sqrt((np.array(error) ** 2).sum(-1).mean(-1)), out[1][:, :, 6:12]
+    return np.sqrt((np.array(error) ** 2).sum(-1).mean(-1)), out[1]["weights"]
 
 
 def test_judging_by_the_noise_alone_locks_out_under_a_wide_prior():
@@ -335,7 +344,7 @@ def test_the_cross_block_of_q_shows_in_p_and_hardly_in_the_errors():
     recordings = simulate_many("deck/paper", range(10), duration=120.0)
     whole, torn = (run_alignment(recordings, {"no_cross": c}, velocity_noise=2.0) for c in (0, 1))
     ratio = deviations(torn)[:, -1] / deviations(whole)[:, -1]
-    assert (ratio[:, 15:18] > 10.0).all()
+    assert (ratio[:, kernels.VR] > 10.0).all()
     rms = [np.sqrt((theta_errors(found)[:, 1200:] ** 2).mean()) for found in (whole, torn)]
     assert rms[1] == pytest.approx(rms[0], rel=0.02)
 
@@ -352,7 +361,7 @@ def test_the_deviation_of_theta_is_that_of_the_unknowable_split(long):
     """Gyros see θ(t) − θ(0); σ/√(1 + βt/4) is what the Markov model makes of the rest."""
     recordings, found = long
     model = recordings[0].model.flexure
-    ratio = deviations(found)[0, -1, 18:21] / model.split_deviation(300.0)
+    ratio = deviations(found)[0, -1, kernels.THETA] / model.split_deviation(300.0)
     assert ratio == pytest.approx(np.ones(3), abs=0.05)
 
 
@@ -364,9 +373,9 @@ def errors_of(recordings, **parameters):
     for end in range(1200, tapes.shape[1] + 1, 100):
         lanes["length"] = end
         kernels.run(lanes, models, tapes, rule_of(judged=0), row, 1, *none(len(lanes)), *out)
-        covariances.append(lanes["P"][:, 18:, 18:].copy())
+        covariances.append(lanes["P"][:, kernels.FLEXING, kernels.FLEXING].copy())
     truth = np.concatenate([tapes["theta"], tapes["theta_rate"]], axis=-1)
-    return (out[0][..., 18:] - truth)[:, 1199::100], np.stack(covariances, axis=1)
+    return (out[0][..., kernels.FLEXING] - truth)[:, 1199::100], np.stack(covariances, axis=1)
 
 
 def nees(error, P):
@@ -449,7 +458,7 @@ def test_l_carries_the_static_and_the_first_dynamic_deformation(long):
     """2l → Φ + θ(0), so Φ follows as the attitude less θ, and 2l + θ counts θ(0) twice."""
     recordings = long[0][:8]
     found = run_alignment(recordings, everything=False, velocity_noise=2.0)
-    l = found["states"][:, -1, :3]  # noqa: E741
+    l = found["states"][:, -1, kernels.L]  # noqa: E741
     start = np.array([r.theta[0] for r in recordings])
     static = recordings[0].static
     right = 2.0 * l - (static + start)
@@ -469,8 +478,8 @@ def test_the_filters_rate_hardly_matters():
     )
     np.testing.assert_array_equal(fast["tapes"][0, 4::5]["theta"], slow["tapes"][0]["theta"])
     apart = np.abs(fast["states"][0, 4::5] - slow["states"][0])[200:] / deviations(slow)[0, 200:]
-    assert apart[:, 18:21].max() < 0.2
-    assert apart[:, :3].max() < 0.6
+    assert apart[:, kernels.THETA].max() < 0.2
+    assert apart[:, kernels.L].max() < 0.6
     ratio = deviations(fast)[0, -1] / deviations(slow)[0, -1]
     assert ratio[:21] == pytest.approx(np.ones(21), abs=0.01)
 
@@ -509,7 +518,7 @@ def test_a_corrupt_tape_fails_its_own_lane_only(field, glitchy):
 
     clean = run_alignment([glitchy] * 3)
     found = run_alignment([glitchy] * 3, change=corrupt)
-    assert found["lanes"]["diverged"].tolist() == [0, kernels.NUMERICAL, 0]
+    assert found["lanes"]["diverged"].tolist() == [0, health.NUMERICAL, 0]
     for lane in (0, 2):
         np.testing.assert_array_equal(found["states"][lane], clean["states"][lane])
     np.testing.assert_array_equal(found["states"][1, :50], clean["states"][1, :50])
@@ -525,7 +534,7 @@ def test_innovations_that_run_away_are_flagged(calm):
         tapes["w_s"][0, 600:] *= -1.0
 
     found = run_alignment([calm], change=turn_over)
-    assert found["lanes"]["diverged"][0] == kernels.RUNAWAY
+    assert found["lanes"]["diverged"][0] == health.RUNAWAY
     assert np.isfinite(found["states"]).all()
 
 

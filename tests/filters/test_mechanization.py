@@ -12,11 +12,12 @@ import navgym
 from navgym.deck_batch import DeckBatch
 from navgym.deck_estimation import attitude_error, attitudes
 from navgym.deck_model import DeckModel, lever_matrix
-from navgym.dual_imu import GRAVITY, DualIMURecording
-from navgym.filters.alignment import pack
+from navgym.dual_imu import DualIMURecording
+from navgym.filters.alignment_model import pack
 from navgym.filters.mechanization import TAPE, coarse_alignment, tapes_of
 from navgym.flexure import ARCMIN
-from navgym.scenarios.deck import NO_ERRORS
+from navgym.inertial.earth import GRAVITY
+from navgym.inertial.imu import NO_ERRORS
 from navgym.simulation import find_scenario
 from navgym.simulation.deck import _move
 from tests.filters.deck_lanes import run_alignment

@@ -9,13 +9,12 @@ import pytest
 
 import navgym
 from navgym.flexure import ARCMIN
+from navgym.inertial.imu import NO_ERRORS, ImuErrors
 from navgym.scenarios.deck import (
     DECK_CATALOGUE,
-    NO_ERRORS,
     REGIMES,
     DeckRegime,
     DeckScenario,
-    ImuErrors,
 )
 from navgym.simulation import find_scenario
 

@@ -8,19 +8,12 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 import navgym
-from navgym.deck_model import DEGREE_PER_HOUR, DEGREE_PER_ROOT_HOUR, MICRO_G
-from navgym.dual_imu import GRAVITY
 from navgym.filters.mechanization import tapes_of
 from navgym.flexure import ARCMIN
-from navgym.scenarios.deck import (
-    DECK_CATALOGUE,
-    NO_ERRORS,
-    DeckRegime,
-    DeckScenario,
-    ImuErrors,
-)
+from navgym.inertial.earth import EARTH_RATE, EQUATORIAL_RADIUS, GRAVITY, MICRO_G
+from navgym.inertial.imu import DEGREE_PER_HOUR, DEGREE_PER_ROOT_HOUR, NO_ERRORS, ImuErrors
+from navgym.scenarios.deck import DECK_CATALOGUE, DeckRegime, DeckScenario
 from navgym.simulation import find_scenario, simulate_many
-from navgym.simulation.deck import EARTH_RATE
 
 IMU = ("main_angle", "main_velocity", "sub_angle", "sub_velocity")
 TRUTH = ("theta", "theta_rate")
@@ -242,10 +235,10 @@ def test_under_way_coriolis_and_transport_rate_are_there():
     r = navgym.simulate(
         "deck/paper", 0, duration=2.0, latitude=0.0, heading=90.0, **(STILL | {"speed": 10.0})
     )
-    lift = 2.0 * EARTH_RATE * 10.0 + 10.0**2 / 6378137.0
+    lift = 2.0 * EARTH_RATE * 10.0 + 10.0**2 / EQUATORIAL_RADIUS
     assert r.main_velocity[0] / r.interval == pytest.approx([0.0, 0.0, lift - GRAVITY], abs=1e-9)
     assert r.main_angle[0] / r.interval == pytest.approx(
-        [0.0, -(EARTH_RATE + 10.0 / 6378137.0), 0.0], abs=1e-12
+        [0.0, -(EARTH_RATE + 10.0 / EQUATORIAL_RADIUS), 0.0], abs=1e-12
     )
 
 
@@ -259,7 +252,7 @@ def test_the_main_imus_increments_follow_the_sway():
     ship = Rotation.from_euler("ZYX", np.stack([heading, pitch, roll], axis=1), degrees=True)
     # the local frame turns with the earth and along it
     lat, v = np.radians(s.latitude), s.speed / np.sqrt(2.0)
-    R = 6378137.0
+    R = EQUATORIAL_RADIUS
     omega = np.array(
         [EARTH_RATE * np.cos(lat) + v / R, -v / R, -EARTH_RATE * np.sin(lat) - v * np.tan(lat) / R]
     )

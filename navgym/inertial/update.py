@@ -1,0 +1,329 @@
+"""The update of an error-state filter, compiled: measurements one by one, sparse, weighted, judged.
+
+    z_c = h_c(x) + v_c,   v_c ~ N(0, R_c) independent,   c = 0 ... m − 1
+
+Each row of H = ∂h/∂x touches few of the n states: `H[c, a]` is its weight on state `index[c, a]`, for
+a < `touched[c]` ≤ w. Rows are used one after the other, all linearised at the prediction, which equals
+the block update since their noises are independent; the order matters to rounding only.
+
+It knows states by number and sensors by row, and so serves any error-state filter. A filter is a
+record type, `fields(n, m, w)` and what its own physics needs, and a step of its own:
+
+    begin      lanes at x0, P0, and once `touch(lanes, rows)`: which states each row touches
+    predict    x, P                                                         the filter's physics
+    linearise  `innovation` z − h(x⁻), `H`, `R`, `used` of every row        the filter's sensors
+    judge      NIS and log-likelihood, where they are wanted
+    expect     x⁻ and the variance of every innovation
+    weigh      or `gate`, or `trust`: what each row is worth, `weight` C; the update takes R/C
+    correct    x and P                                        (`robust` is weigh and correct, iterated)
+    check      health: a lane that failed or ran away is flagged
+
+A sensor that is silent in a step has `used` 0, or an innovation of NaN and `hear` says so. For
+instance an INS with a DVL of 18 states: a DVL's beam touches velocity, attitude and scale (w = 7), a
+depth gauge one position and one bias, each with its R; m counts the rows of all sensors.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navgym._compile import part
+from navgym.health import NUMERICAL, SPIKE, settle, watch_power
+
+WIDTH_OFF = 50.0 - 1e-9  # a kernel of this width or more is a Kalman filter; 50, to rounding
+FLOOR = 1e-12  # of a correntropy weight: R/C stays finite
+LOG_2PI = math.log(2.0 * math.pi)
+
+_f8, _i8 = np.float64, np.int64
+RULE = [  # fields of a record that says how `robust` updates
+    ("iterations", _i8),  # fixed-point iterations of the weights; 1: from the innovation alone
+    ("by_noise", _i8),  # 1: weights are judged by R and not by S
+    ("printed_covariance", _i8),  # 1: IDAM eq. 51 as printed
+]
+
+
+def fields(n: int, m: int, w: int) -> list[tuple[str, Any, tuple[int, ...]]]:
+    """Fields of a lane with n states and m rows that touch at most w states each."""
+    return [
+        ("x", _f8, (n,)),
+        ("P", _f8, (n, n)),
+        # what a filter fills in every step
+        ("innovation", _f8, (m,)),
+        ("H", _f8, (m, w)),
+        ("R", _f8, (m,)),
+        ("used", _i8, (m,)),
+        # what the update finds
+        ("weight", _f8, (m,)),
+        ("variance", _f8, (m,)),  # diagonal of S = H P⁻ Hᵀ + R
+        ("nis", _f8, ()),
+        ("log_likelihood", _f8, ()),
+        ("power", _f8, ()),
+        ("diverged", _i8, ()),
+        # which states the rows touch
+        ("index", np.uint64, (m, w)),  # unsigned: numba need not ask whether it counts from the end
+        ("touched", _i8, (m,)),
+        # scratch
+        ("x_prior", _f8, (n,)),
+        ("P_prior", _f8, (n, n)),
+        ("column", _f8, (n,)),
+        ("PH", _f8, (m, n)),
+        ("S", _f8, (m, m)),
+        ("white", _f8, (m,)),
+    ]
+
+
+def touch(lanes: NDArray[Any], rows: Sequence[Sequence[int]]) -> None:
+    """Tell lanes (N,) which states each of their m rows touches, in the order of the row's `H`.
+
+    Raises ValueError where the lanes have another number of rows, too little room, or fewer states.
+    """
+    m, w = lanes.dtype["index"].shape
+    n = lanes.dtype["x"].shape[0]
+    if len(rows) != m or max(map(len, rows)) > w or any(not 0 <= j < n for r in rows for j in r):
+        raise ValueError(
+            f"rows must be {m}, of at most {w} states below {n} each, got {[list(r) for r in rows]}."
+        )
+    for c, row in enumerate(rows):
+        lanes["index"][:, c, : len(row)] = row
+        lanes["touched"][:, c] = len(row)
+
+
+@part
+def transpose(lane):
+    """P ← Pᵀ: F P Fᵀ is F (F P)ᵀ, where F's few blocks act on rows."""
+    for i in range(lane.x.shape[0]):
+        for j in range(i):
+            p = lane.P[i, j]
+            lane.P[i, j] = lane.P[j, i]
+            lane.P[j, i] = p
+
+
+@part
+def hear(lane):
+    """Use the rows whose innovation is a number; returns how many."""
+    count = 0
+    for c in range(lane.innovation.shape[0]):
+        lane.used[c] = 0 if math.isnan(lane.innovation[c]) else 1
+        count += lane.used[c]
+    return count
+
+
+# `project` and `spread` add up several sums at once, each in its own order: one alone would wait for
+# itself, and a column in memory for what was just written there (a fifth of a deck filter's step)
+
+
+@part
+def project(lane, c):
+    """column = P H_cᵀ for row c, and H_c P H_cᵀ, which is returned."""
+    P, total = lane.P, 0.0
+    n, w = P.shape[0], lane.touched[c]
+    for i in range(0, n - 7, 8):
+        s0, s1, s2, s3, s4, s5, s6, s7 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for a in range(w):
+            h, j = lane.H[c, a], lane.index[c, a]
+            s0 += h * P[j, i]
+            s1 += h * P[j, i + 1]
+            s2 += h * P[j, i + 2]
+            s3 += h * P[j, i + 3]
+            s4 += h * P[j, i + 4]
+            s5 += h * P[j, i + 5]
+            s6 += h * P[j, i + 6]
+            s7 += h * P[j, i + 7]
+        lane.column[i], lane.column[i + 1] = s0, s1
+        lane.column[i + 2], lane.column[i + 3] = s2, s3
+        lane.column[i + 4], lane.column[i + 5] = s4, s5
+        lane.column[i + 6], lane.column[i + 7] = s6, s7
+    for i in range(n - n % 8, n):
+        s = 0.0
+        for a in range(w):
+            s += lane.H[c, a] * P[lane.index[c, a], i]
+        lane.column[i] = s
+    for a in range(w):
+        total += lane.H[c, a] * lane.column[lane.index[c, a]]
+    return total
+
+
+@part
+def spread(lane, c):
+    """H_c P H_cᵀ from the few states that row c touches."""
+    P, total = lane.P, 0.0
+    w = lane.touched[c]
+    for a in range(0, w - 3, 4):
+        i0, i1 = lane.index[c, a], lane.index[c, a + 1]
+        i2, i3 = lane.index[c, a + 2], lane.index[c, a + 3]
+        s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
+        for b in range(w):
+            h, j = lane.H[c, b], lane.index[c, b]
+            s0 += h * P[i0, j]
+            s1 += h * P[i1, j]
+            s2 += h * P[i2, j]
+            s3 += h * P[i3, j]
+        total += lane.H[c, a] * s0
+        total += lane.H[c, a + 1] * s1
+        total += lane.H[c, a + 2] * s2
+        total += lane.H[c, a + 3] * s3
+    for a in range(w - w % 4, w):
+        s, i = 0.0, lane.index[c, a]
+        for b in range(w):
+            s += lane.H[c, b] * P[i, lane.index[c, b]]
+        total += lane.H[c, a] * s
+    return total
+
+
+@part
+def shift(lane, c):
+    """H_c (x − x⁻): by how much the updates so far have moved the prediction of row c."""
+    total = 0.0
+    for a in range(lane.touched[c]):
+        j = lane.index[c, a]
+        total += lane.H[c, a] * (lane.x[j] - lane.x_prior[j])
+    return total
+
+
+@part
+def judge(lane):
+    """NIS and log-likelihood of the used innovations under S = H P⁻ Hᵀ + R, unweighted."""
+    S, count, log_det, nis = lane.S, 0, 0.0, 0.0
+    m = lane.innovation.shape[0]
+    for c in range(m):
+        project(lane, c)
+        for i in range(lane.x.shape[0]):
+            lane.PH[c, i] = lane.column[i]
+        for d in range(c + 1):
+            s = 0.0
+            for a in range(lane.touched[d]):
+                s += lane.H[d, a] * lane.PH[c, lane.index[d, a]]
+            S[c, d] = s
+        S[c, c] += lane.R[c]
+    for c in range(m):  # Cholesky factor in place, innovation whitened on the way
+        if not lane.used[c]:
+            for d in range(c):
+                S[c, d] = 0.0
+            S[c, c] = 1.0
+        for d in range(c + 1):
+            s = S[c, d]
+            if not lane.used[d] and d < c:
+                s = 0.0
+            for a in range(d):
+                s -= S[c, a] * S[d, a]
+            S[c, d] = math.sqrt(s) if d == c else s / S[d, d]
+        z = lane.innovation[c] if lane.used[c] else 0.0
+        for d in range(c):
+            z -= S[c, d] * lane.white[d]
+        lane.white[c] = z / S[c, c]
+        if lane.used[c]:
+            count += 1
+            nis += lane.white[c] ** 2
+            log_det += 2.0 * math.log(S[c, c])
+    lane.nis = nis if count > 0 else math.nan
+    lane.log_likelihood = -0.5 * (nis + log_det + count * LOG_2PI) if count > 0 else math.nan
+
+
+@part
+def expect(lane):
+    """x⁻ is x, and what variance each innovation should have: R + H P⁻ Hᵀ."""
+    for c in range(lane.innovation.shape[0]):
+        lane.variance[c] = spread(lane, c) + lane.R[c]
+    for i in range(lane.x.shape[0]):
+        lane.x_prior[i] = lane.x[i]
+
+
+@part
+def trust(lane):
+    """Every row has weight 1."""
+    for c in range(lane.innovation.shape[0]):
+        lane.weight[c] = 1.0
+
+
+@part
+def gate(lane, limit):
+    """Weight 0 for rows whose innovation is beyond `limit` standard deviations, 1 for the others.
+
+    A row that is left out still counts in `check`: a filter that believes nothing has run away.
+    """
+    for c in range(lane.innovation.shape[0]):
+        e = lane.innovation[c]
+        lane.weight[c] = 0.0 if e * e > limit * limit * lane.variance[c] else 1.0
+
+
+@part
+def weigh(lane, width, by_noise, iteration):
+    """Weights by the correntropy criterion with a kernel of `width` (IDAM eq. 45, 53).
+
+    Judged by S = H P Hᵀ + R, or by R alone, where a predictable innovation is rejected as soon as
+    H P Hᵀ ≫ R. Beyond the first iteration the residual stands for the innovation.
+    """
+    for c in range(lane.innovation.shape[0]):
+        lane.weight[c] = 1.0
+        if width < WIDTH_OFF and lane.used[c]:
+            e = lane.innovation[c]
+            if iteration > 0:
+                e -= shift(lane, c)
+            scale = lane.R[c] if by_noise else lane.variance[c]
+            lane.weight[c] = max(math.exp(-0.5 * e * e / (width * width * scale)), FLOOR)
+
+
+@part
+def correct(lane, printed_covariance):
+    """x and P by the used rows in turn, each with R/C (IDAM eq. 50-52, corrected)."""
+    n = lane.x.shape[0]
+    for c in range(lane.innovation.shape[0]):
+        if not lane.used[c] or lane.weight[c] == 0.0:
+            continue
+        R = lane.R[c] / lane.weight[c]
+        S = project(lane, c) + R
+        if not S > 0.0:
+            lane.diverged = NUMERICAL
+            S = math.nan
+        e = (lane.innovation[c] - shift(lane, c)) / S
+        root = 1.0 / math.sqrt(S)
+        if printed_covariance:  # Pzz = H P Hᵀ C + R there: too little by the factor C
+            root *= math.sqrt(lane.weight[c])
+        for i in range(n):
+            lane.x[i] += lane.column[i] * e
+        for i in range(n):
+            lane.column[i] *= root
+        for i in range(n):
+            a = lane.column[i]
+            for j in range(n):
+                lane.P[i, j] -= a * lane.column[j]
+
+
+@part
+def robust(lane, rule, width):
+    """`weigh` and `correct`, `rule.iterations` times from the same prediction; `expect` comes first.
+
+    The rule's fields are those of `RULE`.
+    """
+    n = lane.x.shape[0]
+    if rule.iterations > 1:
+        for i in range(n):
+            for j in range(n):
+                lane.P_prior[i, j] = lane.P[i, j]
+    weigh(lane, width, rule.by_noise, 0)
+    correct(lane, rule.printed_covariance)
+    for iteration in range(1, rule.iterations):
+        weigh(lane, width, rule.by_noise, iteration)
+        for i in range(n):
+            lane.x[i] = lane.x_prior[i]
+            for j in range(n):
+                lane.P[i, j] = lane.P_prior[i, j]
+        correct(lane, rule.printed_covariance)
+
+
+@part
+def check(lane):
+    """Flag a lane that failed or ran away (see `navgym.health`); a failed one answers NaN."""
+    power, count = 0.0, 0
+    for c in range(lane.innovation.shape[0]):
+        if lane.used[c]:
+            power += min(lane.innovation[c] ** 2 / lane.variance[c], SPIKE)
+            count += 1
+    if count > 0:
+        watch_power(lane, power, count)
+    settle(lane)
