@@ -8,22 +8,18 @@ it returns the actions that put them in force. Filters that need no choice at al
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.regime_tables import TABLES, rows_by_regime
-from agents.rollout import AUV, DECK, ENGINES
-from navgym._checks import Array, one_of
+from agents.regime_tables import rows_by_regime
+from agents.rollout import problem_in
+from navgym._checks import Array
+from navgym.envs.rules import HandRule
 from navgym.parameters import Parameter
+from navgym.problem import Problem
 from tuning.comparison import Entry
-
-# what a baseline steers where nothing else is said
-STEERED: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {AUV: ("process_noise_scale", "forgetting"), DECK: ("kernel_width",)}
-)
 
 
 class Baseline:
@@ -44,17 +40,19 @@ class Baseline:
         reference: Mapping[str, Any] | None = None,
         interval: int | None = None,
     ) -> None:
-        make, kind = ENGINES[one_of("environment", environment, ENGINES)]
+        own = problem_in(environment).environment
+        kind = own.settings
         usual = kind.__dataclass_fields__["decision_interval"].default
         self.environment = environment
         self.settings: Mapping[str, Any] = {
             "decision_interval": usual if interval is None else interval,
-            "action_parameters": self.steered(environment),
+            "action_parameters": self.steered(own.steered),
             "action": "absolute",
             "reference": dict(reference or {}),
         }
-        engine = make(kind(kind.__dataclass_fields__["scenario"].default, **self.settings), 1)
-        self.space = engine.space
+        scenario = kind.__dataclass_fields__["scenario"].default
+        engine = own.engine(kind(scenario, **self.settings), 1)
+        self.space, self.reference = engine.space, engine.reference
         self._row: Array = engine.space.array(engine.reference)[0]
         self.places = {name: i for i, name in enumerate(engine.observation_names)}
 
@@ -63,9 +61,9 @@ class Baseline:
         """Number of observations that it reads."""
         return len(self.places)
 
-    def steered(self, environment: str) -> tuple[str, ...]:
-        """Names of the parameters that it sets."""
-        return STEERED[environment]
+    def steered(self, usual: tuple[str, ...]) -> tuple[str, ...]:
+        """Names of the parameters that it sets; those that the environment says by default."""
+        return usual
 
     def begin(self, lanes: int) -> None:
         """Forget what was seen: `lanes` recordings start now."""
@@ -125,63 +123,29 @@ class Random(Baseline):
         return found
 
 
-class CovarianceMatching(Baseline):
-    """Match Q to the innovations (Mehra 1972): the AUV's hand rule.
+class ByHand(Baseline):
+    """A rule by hand.
 
-    A nominal Kalman filter beside the controlled one has innovations of covariance C = H P⁻ Hᵀ + R.
-    The third difference of the measurements shows R alone. Where C exceeds R, the motion is not the
-    model's, so Q grows with their ratio: q = 10 max(1, Ĉ/R̂), both as means over some five samples.
-    R is left to the variational filter. The factor 10 was chosen on training recordings: with the
-    model's own Q the variational filter blames R for a manoeuvre and shuts its gain.
+    Args:
+        environment: id of the environment whose observations the rule reads.
+        rule: which.
     """
 
-    FLOOR = 10.0
-
-    def __init__(self, environment: str = AUV) -> None:
+    def __init__(self, environment: str, rule: HandRule) -> None:
+        self.rule = rule
         super().__init__(environment)
 
-    def steered(self, environment: str) -> tuple[str, ...]:  # noqa: ARG002
-        """Q only."""
-        return ("process_noise_scale",)
-
-    def choose(self, observation: NDArray[Any]) -> Mapping[str, Array]:
-        """q from the innovations' power over the noise's."""
-        innovations = self.signal(observation, "frozen.power_position.0.8")
-        noise = self.signal(observation, "curvature.0.8")
-        ratio = np.exp(2.0 * (innovations - noise))  # both are half logarithms
-        return {"process_noise_scale": self.FLOOR * np.maximum(ratio, 1.0)}
-
-
-class ResidualSign(Baseline):
-    """Read the sign of what follows a large gyro residual: the deck's hand rule (SCIENCE B3).
-
-    If the next residual points the other way, a glitch got into the estimate: the kernel narrows to
-    `NARROW` at once. If it points the same way, a slam was rejected: the kernel widens by half, once per
-    decision. Without alarms the width drifts back to `QUIET`. Constants were chosen on training recordings.
-    """
-
-    NARROW, WIDE, QUIET = 3.5, 20.0, 15.0
-    NEGATIVE, POSITIVE = -0.05, 0.12  # mean ratio of successive residuals that counts
-    ALARMS = 0.01  # share of large residuals from which on anything is done
-    BACK = 0.1  # share of the way back, per decision
-
-    def __init__(self, environment: str = DECK) -> None:
-        super().__init__(environment)
+    def steered(self, usual: tuple[str, ...]) -> tuple[str, ...]:  # noqa: ARG002
+        """What the rule sets."""
+        return self.rule.steered
 
     def begin(self, lanes: int) -> None:
-        """Every recording starts with the width in force."""
-        self._log_width = np.full(lanes, np.log(self._row[self.space.index("kernel_width")]))
+        """Every recording starts with the parameters in force."""
+        self.rule.begin(lanes, self.reference)
 
     def choose(self, observation: NDArray[Any]) -> Mapping[str, Array]:
-        """The width of each recording's kernel."""
-        sign = self.signal(observation, "rate.persistence")
-        loud = self.signal(observation, "rate.alarm") > self.ALARMS
-        width = self._log_width
-        quiet = width + self.BACK * (np.log(self.QUIET) - width)
-        width = np.where(loud, width + np.where(sign > self.POSITIVE, np.log(1.5), 0.0), quiet)
-        width = np.where(loud & (sign < self.NEGATIVE), np.log(self.NARROW), width)
-        self._log_width = np.clip(width, np.log(self.NARROW), np.log(self.WIDE))
-        return {"kernel_width": np.exp(self._log_width)}
+        """What the rule says."""
+        return self.rule.choose(lambda name: self.signal(observation, name))
 
 
 class TrueRegime(Baseline):
@@ -215,7 +179,7 @@ class TrueRegime(Baseline):
         super().__init__(environment, reference, interval)
         self.begin(len(self._regimes))
 
-    def steered(self, environment: str) -> tuple[str, ...]:  # noqa: ARG002
+    def steered(self, usual: tuple[str, ...]) -> tuple[str, ...]:  # noqa: ARG002
         """What the table holds."""
         return tuple(self._values)
 
@@ -238,37 +202,20 @@ class TrueRegime(Baseline):
         ]
 
 
-def has_table(scenario: str) -> bool:
-    """Whether there is a table by true regime for `scenario`."""
-    return scenario in TABLES
+def hand_rule(environment: str) -> ByHand | None:
+    """The hand rule that an environment's problem has, if it has one."""
+    make = problem_in(environment).contest.hand_rule
+    return None if make is None else ByHand(environment, make())
 
 
-def hand_rule(environment: str) -> Baseline:
-    """The environment's hand rule."""
-    return CovarianceMatching() if environment == AUV else ResidualSign()
-
-
-PLAIN: Mapping[str, str] = MappingProxyType({AUV: "kf", DECK: "MCC off"})
-IMM_OFF = "imm, models off ×3"
-
-
-def whole_filters(environment: str, truth: bool = True) -> list[Entry]:
-    """Filters that need no choice of parameters, the plain one first.
+def whole_filters(problem: Problem, real: bool = False) -> list[Entry]:
+    """Filters that need no choice of parameters, the plain one first, bounds last.
 
     Args:
-        environment: id.
-        truth: whether recordings know their true noise, which the oracle needs.
+        problem: whose.
+        real: whether recordings are real: they lack the truth that bounds need, and some filters
+            are shown on them only.
     """
-    if one_of("environment", environment, ENGINES) == DECK:
-        found = [Entry(PLAIN[DECK], "alignment"), Entry("oracle", "oracle", bound=True)]
-    else:
-        found = [
-            Entry(PLAIN[AUV], "kf"),
-            Entry(IMM_OFF, "imm", {"measurement_noise_scale": 1.0 / 3.0}),
-            Entry("imm", "imm"),
-            Entry("imm_wide", "imm_wide"),
-            Entry("bank", "bank"),
-            Entry("bank_bursts", "bank_bursts"),
-            Entry("oracle", "oracle", bound=True),
-        ]
-    return [e for e in found if truth or not e.bound]
+    rivals = [r for r in problem.contest.rivals if not (r.bound if real else r.real_only)]
+    chosen = sorted(rivals, key=lambda r: r.bound)
+    return [Entry(r.label, r.filter, r.parameters, bound=r.bound) for r in chosen]

@@ -14,17 +14,15 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, Ve
 
 import navgym
 from agents import learners
-from agents.combiner import Combiner
-from agents.configuration import PRESETS, Configuration
+from agents.combiner import BANK, Combiner
+from agents.configuration import Configuration
 from agents.manifest import Manifest
 from agents.material import material
 from agents.policy import PRETRAINED, Policy, shipped
 from agents.streaming import SelfTuningFilter
 from agents.vec_env import LaneVecEnv
-from navgym.batch import Batch
-from navgym.estimation import run
-from navgym.simulation import simulate_many
 from tuning.benchmarks.timing import Row, measured, paired
+from tuning.cases import Cases
 
 FEW = 16  # single environments that stand for the usual way
 CALLS = 2000
@@ -33,7 +31,7 @@ POOL = 64
 
 def agents(rounds: int) -> list[Row]:
     """Every row; `rounds` turns per pair."""
-    config = replace(PRESETS["auv"][1], pool=POOL)
+    config = replace(Configuration(), pool=POOL)
     lanes = material(config).env
     singles = DummyVecEnv([functools.partial(_single, config) for _ in range(FEW)])
     parts = (
@@ -153,10 +151,11 @@ def _streaming(
 
 def combining(rounds: int) -> Row:
     """What the learned combiner costs beyond the bank that it stands on."""
-    batch = Batch.of(simulate_many("auv/switch-B", navgym.seeds("test", 40)))
+    cases = Cases.simulated("auv/switch-B", "test", 40)
+    problem, batch = cases.problem, cases.batch
     combiner = Combiner.load(PRETRAINED / "combiner")
-    steps = batch.y.shape[0] * batch.y.shape[1]
-    mine, other, _ = paired(lambda: combiner.run(batch), lambda: run("bank", batch), rounds)
+    steps = len(batch) * batch.steps
+    mine, other, _ = paired(lambda: combiner.run(batch), lambda: problem.run(BANK, batch), rounds)
     return Row(
         "bank + combiner against bank, 40 series of 800, per step",
         "at most 5 µs more",

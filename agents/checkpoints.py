@@ -82,7 +82,10 @@ def latest(folder: Path) -> tuple[Checkpoint | None, list[str]]:
 
 
 def to_continue(
-    folder: Path, configuration: Mapping[str, Any], report: Report
+    folder: Path,
+    configuration: Mapping[str, Any],
+    report: Report,
+    current: Callable[[Mapping[str, Any]], Mapping[str, Any]] = dict,
 ) -> Checkpoint | None:
     """The checkpoint in a training's folder to go on from, if there is one.
 
@@ -90,6 +93,7 @@ def to_continue(
         folder: of the training; its `checkpoints` are looked at.
         configuration: what the training depends on, as JSON holds it.
         report: told of damaged checkpoints.
+        current: (configuration of any earlier time) to the same in today's words.
 
     Raises:
         ValueError: the folder holds another training.
@@ -99,7 +103,7 @@ def to_continue(
         report(f"{problem}: " + ("going back to the one before" if found else "starting anew"))
     if found is None:
         return None
-    was = found.facts["configuration"]
+    was = current(found.facts["configuration"])
     differing = sorted(n for n in {*was, *configuration} if was.get(n) != configuration.get(n))
     if differing:
         name = differing[0]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +23,14 @@ from navgym._checks import Array, real_array, shaped
 from navgym._frozen import Frozen
 from navgym._storage import writable
 from navgym.batch import Batch
-from navgym.estimation import Estimate, parameter_space, run
+from navgym.estimation import Estimate
 from navgym.filters import combiner as kernels
 from navgym.filters.bank import MODE_SETS, ModeSet
+from navgym.filters.catalogue import CATALOGUE
+from navgym.parameters import ParameterSpace, parameter_table
+from navgym.problem import Problem, Run
 from navgym.recording import Recording
+from navgym.statespace import run as statespace
 
 KIND = "navgym combiner"
 BANK = "bank"  # the filter that it stands on
@@ -98,21 +102,13 @@ class Combiner(Frozen):
         Raises:
             ValueError: a recording of a size that it was not trained for.
         """
-        found = self.run(Batch.of([recording]), everything=True, fallback=fallback)
-        return Estimate(
-            states=found["states"][0],
-            covariances=found["covariances"][0],
-            innovations=found["innovations"][0],
-            nis=found["nis"][0],
-            log_likelihood=found["log_likelihood"][0],
-            diverged=bool(found["diverged"][0]),
-            extras={"weights": found["weights"][0]},
-        )
+        batch = Batch.of([recording])
+        found = self.run(batch, everything=True, fallback=fallback)
+        kept = {"weights": found.extras["weights"]}
+        return Estimate.of(replace(found, extras=kept), batch.time_of(0))
 
-    def run(
-        self, batch: Batch, everything: bool = False, fallback: bool = False
-    ) -> dict[str, Array]:
-        """Run over a batch: arrays (N, T, ...) named as in `Estimate`, and `weights`.
+    def run(self, batch: Batch, everything: bool = False, fallback: bool = False) -> Run:
+        """Run over a batch; extras hold `weights`.
 
         Args:
             batch: stacked recordings with 4 states and 4 measurements.
@@ -124,14 +120,17 @@ class Combiner(Frozen):
         """
         if not kernels.fits(batch):
             if fallback:
-                return run(BANK, batch, self._parameters, everything=everything)
+                chosen, own = CATALOGUE[BANK], self._parameters
+                table = parameter_table(chosen.space, own, len(batch), batch.steps, 1)
+                return statespace.run(chosen, batch, table, 1, everything)
             size = f"{batch.models.dtype['x0'].shape[0]} and {batch.y.shape[2]}"
             raise ValueError(
                 f"the combiner was trained for {kernels.STATES} states and {kernels.MEASURED} "
                 f"measurements under a LinearModel, not for {size}: use "
                 f'navgym.estimate("{BANK}", recording), or pass fallback=True, which does.'
             )
-        return kernels.estimate(self._network, modes(), batch, self._table, everything)
+        found = kernels.estimate(self._network, modes(), batch, self._table, everything)
+        return statespace.as_run(found, batch, everything)
 
     @property
     def _parameters(self) -> Mapping[str, Any]:
@@ -141,7 +140,7 @@ class Combiner(Frozen):
 
     @property
     def _table(self) -> Array:
-        return parameter_space(BANK).array(self._parameters)[None]
+        return space().array(self._parameters)[None]
 
     @property
     def _network(self) -> NDArray[Any]:
@@ -185,6 +184,16 @@ def _single(field: str, value: Any) -> Array:
     return real_array(field, kept)
 
 
+def combines(problem: Problem) -> bool:
+    """Whether a problem has the bank that combiners stand on."""
+    return problem.filters.get(BANK) is CATALOGUE[BANK]
+
+
+def space() -> ParameterSpace:
+    """The bank's parameters."""
+    return CATALOGUE[BANK].space
+
+
 def modes() -> ModeSet:
     """The bank's modes."""
     return MODE_SETS[BANK]
@@ -196,7 +205,7 @@ def bank_facts() -> dict[str, Any]:
     return writable(
         {
             "modes": dataclasses.asdict(own),
-            "parameters": parameter_space(BANK).defaults,
+            "parameters": space().defaults,
             "inputs": kernels.input_names(own),
             "constants": {"bound": kernels.BOUND, "clip": kernels.CLIP, "floor": kernels.FLOOR},
         }

@@ -6,7 +6,7 @@ import dataclasses
 import json
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,8 +19,9 @@ from agents.combiner_material import CombinerConfiguration
 from agents.command import STOPPED
 from navgym._atomic import replacing
 from navgym._checks import positive_int
-from navgym.metrics import paired_difference, run_rmse
-from navgym.scenarios import SHIFTS
+from navgym.metrics import paired_difference
+from navgym.problem import problem_of
+from navgym.simulation import find_scenario
 from tuning.cases import Cases
 
 ABOUT = """Train the combiner: a network that weighs the modes of the frozen bank.
@@ -102,29 +103,37 @@ def conditions(config: CombinerConfiguration, shifts: bool) -> list[Condition]:
     own: list[Condition] = [(name, AS_DESIGNED, {}) for name in config.scenarios]
     if not shifts:
         return own
-    shifted = [(name, *shift) for name in config.scenarios for shift in SHIFTS.items()]
+    shifted = [(name, *shift) for name in config.scenarios for shift in _shifts(name)]
     return own + shifted + [(name, AS_DESIGNED, {}) for name in config.others]
+
+
+def _shifts(name: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Conditions that no policy was trained for, of a scenario."""
+    scenario = find_scenario(name)
+    yield from problem_of(scenario).contest.shifts(scenario).items()
 
 
 def compare(
     combiners: Mapping[str, Combiner], on: Sequence[Condition], recordings: int
 ) -> list[dict[str, Any]]:
-    """Position RMSE on test recordings, and each combiner's paired gain over the bank.
+    """Errors on test recordings, and each combiner's paired gain over the bank.
 
     Args:
         combiners: by name.
         on: scenarios, names of conditions, and overrides that make them.
         recordings: per condition, at least 2.
 
-    Returns one row per condition and combiner, as JSON can hold it: mean errors in m of bank,
+    Returns one row per condition and combiner, as JSON can hold it: mean errors of bank,
     combiner and oracle, and the gain with its 95 % interval.
     """
     rows = []
     for name, condition, overrides in tqdm(on, desc="comparing on test seeds"):
         cases = Cases.simulated(name, "test", recordings, **overrides)
-        bank, oracle = (cases.errors(each)[0] for each in (BANK, "oracle"))
+        problem, quantity = cases.problem, cases.first_quantity
+        bank, oracle = (cases.errors(each)[0] for each in (BANK, problem.bound))
         for label, combiner in combiners.items():
-            own = run_rmse(cases.squared(combiner.run(cases.batch)["states"]))
+            states = combiner.run(cases.batch).states
+            own = problem.scoring.errors(cases.batch, states, (quantity,), cases.span)[quantity]
             gain = paired_difference(own, bank)
             rows.append(
                 {
@@ -138,7 +147,7 @@ def compare(
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Rows of `compare` as text: errors in m, gains in % with 95 % intervals."""
+    """Rows of `compare` as text: errors, gains in % with 95 % intervals."""
     head = ("scenario", "condition", "combiner", "bank", "error", "oracle", "gain over bank, %")
     cells = [head]
     for row in rows:

@@ -18,15 +18,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.combiner import BANK, modes
-from agents.randomisation import AUVRanges, drawn
+from agents.combiner import combines, modes, space
+from agents.randomisation import drawn
 from navgym._checks import positive_int, within
 from navgym._storage import writable
+from navgym.auv.conditions import AUVRanges
 from navgym.batch import Batch
-from navgym.estimation import parameter_space, run
 from navgym.filters import combiner as kernels
+from navgym.problem import problem_of
 from navgym.recording import Recording
-from navgym.scenarios import AUVScenario, seeds
+from navgym.scenarios import seeds
 from navgym.simulation import find_scenario, simulate_many
 
 Single = NDArray[np.float32]
@@ -100,15 +101,12 @@ class CombinerConfiguration:
             )
         for field_name in ("scenarios", "others"):
             if not getattr(self, field_name):
-                raise ValueError(f"{field_name} must name at least one AUV scenario, got none.")
+                raise ValueError(f"{field_name} must name at least one scenario, got none.")
         for name in (*self.scenarios, *self.others):
-            scenario = find_scenario(name)
-            if not isinstance(scenario, AUVScenario) or not kernels.fits(
-                Batch.of(simulate_many(scenario, [0], 2))
-            ):
+            if not _fits(name, self.ranges):
                 raise ValueError(
-                    f"scenario {name!r} has another model than the combiner reads: choose AUV "
-                    "scenarios in which position and velocity are measured."
+                    f"scenario {name!r} has another model than the combiner reads: choose ones "
+                    "in which position and velocity are measured, of a problem with a bank."
                 )
         object.__setattr__(self, "out", None if self.out is None else Path(self.out))
 
@@ -154,8 +152,18 @@ class CombinerConfiguration:
         return writable({k: v for k, v in own.items() if k not in ("out", "memory")})
 
 
+def _fits(name: str, ranges: Any) -> bool:
+    """Whether a combiner can read recordings of a scenario, drawn from such ranges."""
+    scenario = find_scenario(name)
+    problem = problem_of(scenario)
+    if not combines(problem) or not isinstance(ranges, problem.training.ranges):
+        return False
+    short = simulate_many(scenario.override(**problem.brief), [0])
+    return kernels.fits(problem.stack(short))
+
+
 @dataclass(frozen=True, eq=False)
-class Material:
+class Lessons:
     """What a network is taught with: N recordings of T samples, J modes.
 
     Args:
@@ -178,27 +186,28 @@ class Material:
         return sum(float(a.nbytes) for a in vars(self).values()) / 1e9
 
 
-def material(recordings: Sequence[Recording]) -> Material:
+def material(recordings: Sequence[Recording]) -> Lessons:
     """Run the bank over simulated recordings of equal length, and note what a network may learn."""
     parts = [_part(recordings[i : i + AT_ONCE]) for i in range(0, len(recordings), AT_ONCE)]
     joined = {
         f.name: np.concatenate([getattr(part, f.name) for part in parts])
-        for f in dataclasses.fields(Material)
+        for f in dataclasses.fields(Lessons)
     }
-    return Material(**joined)
+    return Lessons(**joined)
 
 
-def _part(recordings: Sequence[Recording]) -> Material:
+def _part(recordings: Sequence[Recording]) -> Lessons:
     batch = Batch.of(recordings)
     assert batch.truth is not None
-    table = parameter_space(BANK).array()[None]
+    table = space().array()[None]
     found = kernels.estimate(kernels.idle(modes()), modes(), batch, table, False, watch=True)
     position = list(recordings[0].model.position)
     truth = batch.truth[..., position]
-    oracle = run("oracle", batch)["states"][..., position]
+    problem = problem_of(recordings[0])
+    oracle = problem.run(problem.bound, batch).states[..., position]
     error = ((found["states"][..., position] - truth) ** 2).sum(-1)
     single = np.float32
-    return Material(
+    return Lessons(
         inputs=found["inputs"].astype(single),
         log_weights=np.log(np.maximum(found["bank_weights"], LEAST)).astype(single),
         offsets=(found["means"][..., position] - oracle[:, :, None]).astype(single),

@@ -19,7 +19,7 @@ from agents.combiner import Combiner, bank_facts, modes
 from agents.combiner_material import (
     AT_ONCE,
     CombinerConfiguration,
-    Material,
+    Lessons,
     Single,
     checked_memory,
     material,
@@ -103,7 +103,7 @@ def mixed(log_weights: torch.Tensor, offsets: torch.Tensor) -> torch.Tensor:
     return (weights[..., None] * offsets).sum(-2)
 
 
-def gains(network: Network, of: Material) -> Array:
+def gains(network: Network, of: Lessons) -> Array:
     """Relative reduction of each recording's position RMSE against the bank, (N,)."""
     import torch
 
@@ -287,7 +287,7 @@ class Trainer:
         return made
 
 
-def _arenas(config: CombinerConfiguration) -> dict[str, Material]:
+def _arenas(config: CombinerConfiguration) -> dict[str, Lessons]:
     """Validation recordings: every scenario as it is, conditions drawn anew, and the others."""
     own = seeds("validation", config.validation)
     found = {name: material(config.simulated((name,), own, 1.0)) for name in config.scenarios}

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import tyro
 
-from agents.configuration import PRESETS, Configuration
+from agents.configuration import Configuration, presets
 from navgym._atomic import replacing
 from navgym._checks import positive_int
 
@@ -57,15 +57,16 @@ def parse(words: Sequence[str]) -> Command:
     Raises ValueError for a file or a field with a value that cannot be.
     """
     rest = list(words)
-    base = PRESETS["auv"][1]
+    base = Configuration()
     if rest and not rest[0].startswith("-"):
         base = _base(rest.pop(0))
-    width = max(map(len, PRESETS))
-    presets = "\n".join(f"  {name.ljust(width)}  {text}" for name, (text, _) in PRESETS.items())
+    known = presets()
+    width = max(map(len, known))
+    listed = "\n".join(f"  {name.ljust(width)}  {text}" for name, (text, _) in known.items())
     found: Command = tyro.cli(
         Command,
         prog="train.py [PRESET | FILE.toml]",
-        description=ABOUT.format(presets=presets),
+        description=ABOUT.format(presets=listed),
         default=Command(base),
         args=rest,
     )
@@ -123,11 +124,10 @@ def as_typed() -> str:
 
 def _base(word: str) -> Configuration:
     """What the first word means."""
-    if word in PRESETS:
-        return PRESETS[word][1]
+    known = presets()
+    if word in known:
+        return known[word][1]
     path = Path(word)
     if path.suffix == ".toml":
         return Configuration.from_toml(path)
-    raise ValueError(
-        f"{word!r} is neither a preset nor a TOML file. Presets: {', '.join(PRESETS)}."
-    )
+    raise ValueError(f"{word!r} is neither a preset nor a TOML file. Presets: {', '.join(known)}.")

@@ -10,19 +10,18 @@ import ast
 import dataclasses
 import inspect
 import json
+import tomllib
 import typing
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 from tyro.constructors import PrimitiveConstructorSpec
 
-from agents.randomisation import AUVRanges, DeckRanges, Ranges
-from agents.rollout import AUV, DECK, ENGINES
+from agents.rollout import problem_in
 from navgym._checks import one_of, positive_int, within
-from navgym.envs import ENVIRONMENTS
+from navgym.problem import Preset, Problem, environments, problems
 from navgym.simulation import find_scenario
 from tuning import declared
 
@@ -36,7 +35,7 @@ def _object(text: str) -> dict[str, Any]:
 
 
 # on the command line a mapping is one word of JSON, in a file it is a table
-Table = Annotated[
+Fields = Annotated[
     Mapping[str, Any],
     PrimitiveConstructorSpec(
         nargs=1,
@@ -129,11 +128,11 @@ class Cloning:
 class Configuration:
     """A training: where the agent acts, how it learns, what is kept."""
 
-    environment: str = AUV
+    environment: str = "navgym/AUVDropout-v0"
     """id of the environment"""
     scenarios: tuple[str, ...] = ("auv/switch-D",)
     """one scenario, or a mixture to draw training recordings from"""
-    overrides: Table = field(default_factory=dict)
+    overrides: Fields = field(default_factory=dict)
     """fields of the scenarios to change, as JSON: '{"loss": 0.3}'"""
     action_parameters: tuple[str, ...] = ("process_noise_scale", "forgetting", "prior_count")
     """what the agent sets, as residuals around the first scenario's best fixed parameters"""
@@ -141,14 +140,12 @@ class Configuration:
     """filter steps per decision"""
     reward: str = "difference"
     """the environment's reward"""
-    arguments: Table = field(default_factory=dict)
-    """further arguments of the environment, as JSON: '{"features": "gyro"}' (deck)"""
+    arguments: Fields = field(default_factory=dict)
+    """further arguments of the environment, as JSON: '{"reward_clip": 10.0}'"""
     randomise: bool = False
     """draw the conditions of each recording anew: a policy for any sea instead of a specialist"""
-    auv_ranges: AUVRanges = field(default_factory=AUVRanges)
-    """where AUV conditions are drawn from"""
-    deck_ranges: DeckRanges = field(default_factory=DeckRanges)
-    """where deck conditions are drawn from"""
+    ranges: Fields = field(default_factory=dict)
+    """what conditions are drawn from, where not from the problem's usual ranges, as JSON"""
     algorithm: Algorithm = "ppo"
     """tqc and recurrent_ppo need sb3-contrib"""
     decisions: int = 1_000_000
@@ -177,7 +174,7 @@ class Configuration:
     """folder for everything that is written; default: runs/train/SCENARIO-ALGORITHM-SEED"""
 
     def __post_init__(self) -> None:
-        one_of("environment", self.environment, ENVIRONMENTS)
+        one_of("environment", self.environment, environments())
         one_of("algorithm", self.algorithm, typing.get_args(Algorithm))
         if not self.scenarios:
             raise ValueError("scenarios must name at least one scenario, got none.")
@@ -200,7 +197,9 @@ class Configuration:
             {*self.arguments} & (taken | {"split", "pool", "recordings", "reference"})
         ):
             raise ValueError(f"arguments must not hold {name!r}: it has a field of its own.")
-        known = {f.name for f in dataclasses.fields(ENGINES[self.environment][1])}
+        known = {
+            f.name for f in dataclasses.fields(problem_in(self.environment).environment.settings)
+        }
         for name in self.arguments:
             one_of(f"argument of {self.environment}:", name, known)
         decisions = self.lanes * self.recipe.steps
@@ -209,6 +208,7 @@ class Configuration:
                 f"recipe.batch must be from 2 to lanes x recipe.steps = {decisions}, got "
                 f"{self.recipe.batch}: an update has no more decisions."
             )
+        object.__setattr__(self, "ranges", declared.own(self.conditions))
         object.__setattr__(self, "out", None if self.out is None else Path(self.out))
 
     @property
@@ -220,9 +220,16 @@ class Configuration:
         return Path("runs/train") / f"{first}-{self.algorithm}-{self.seed}"
 
     @property
-    def ranges(self) -> Ranges:
-        """Where conditions are drawn from in this environment."""
-        return self.auv_ranges if self.environment == AUV else self.deck_ranges
+    def conditions(self) -> Any:
+        """What conditions are drawn from: the problem's ranges, with this configuration's own.
+
+        Raises ValueError, naming the field, for an unknown one or a value that cannot be.
+        """
+        kind = problem_in(self.environment).training.ranges
+        try:
+            return declared.from_dict(kind, self.ranges)
+        except ValueError as error:
+            raise ValueError(f"ranges: {error}") from error
 
     @property
     def reference(self) -> dict[str, Any]:
@@ -257,36 +264,50 @@ class Configuration:
 
         Raises ValueError, naming the field, for an unknown one or a value of another type.
         """
-        return declared.from_dict(cls, values)
+        return declared.from_dict(cls, current(values))
 
     @classmethod
     def from_toml(cls, path: Path) -> Configuration:
         """Read a file; ValueError naming it for what cannot be read or is wrong."""
-        return declared.from_toml(cls, path)
+        try:
+            return cls.from_dict(tomllib.loads(path.read_text(encoding="utf-8")))
+        except ValueError as error:  # TOMLDecodeError and UnicodeDecodeError are ones
+            what = "is not TOML: " if isinstance(error, tomllib.TOMLDecodeError) else ""
+            raise ValueError(f"{path} {what}{error}") from error
 
 
-PRESETS: Mapping[str, tuple[str, Configuration]] = MappingProxyType(
-    {
-        "auv": ("a specialist for auv/switch-D, in a minute or two", Configuration()),
-        "auv-b": (
-            "a specialist for auv/switch-B",
-            Configuration(scenarios=("auv/switch-B",)),
-        ),
-        "auv-robust": (
-            "for any sea: conditions are drawn anew for each recording; what agents/pretrained holds",
-            Configuration(randomise=True, reward="relative", pool=1500, decisions=2_000_000),
-        ),
-        "deck": (
-            "kernel width of the deck filter, twice a second; what agents/pretrained holds",
-            Configuration(
-                environment=DECK, scenarios=("deck/switch-60", "deck/switch-gyro"),
-                reward="composite", action_parameters=("kernel_width",), decision_interval=10,
-                decisions=300_000, recipe=Recipe(gamma=0.95), pool=64, validation=16,
-                interval=50_000,
-            ),
-        ),
+def current(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of a configuration as they are called today, from those of any earlier time.
+
+    Once there was a table of ranges for each problem, `NAME_ranges`, all of them written whole
+    whatever the environment; trainings of that time can still be read and gone on with.
+    """
+    named = environments().get(str(values.get("environment", Configuration.environment)))
+    earlier = {f"{problem.name}_ranges": problem for problem in problems()}
+    found = {name: value for name, value in values.items() if name not in earlier}
+    for name in values.keys() & earlier.keys():
+        problem = earlier[name]
+        if named is not None and problem.environment.id == named.environment:
+            made = declared.from_dict(problem.training.ranges, values[name])
+            found["ranges"] = declared.own(made)
+    return found
+
+
+def presets() -> dict[str, tuple[str, Configuration]]:
+    """Trainings by name, of every problem: what each is for, and its configuration."""
+    return {
+        name: (preset.summary, _preset(problem, preset))
+        for problem in problems()
+        for name, preset in problem.training.presets.items()
     }
-)  # fmt: skip
+
+
+def _preset(problem: Problem, preset: Preset) -> Configuration:
+    fields = {
+        "environment": problem.environment.id, "scenarios": (problem.study.scenario,),
+        **preset.fields,
+    }  # fmt: skip
+    return declared.from_dict(Configuration, fields)
 
 
 # ---- as documentation ----------------------------------------------------------------------
@@ -295,10 +316,18 @@ PRESETS: Mapping[str, tuple[str, Configuration]] = MappingProxyType(
 def markdown() -> str:
     """A table of every field, its default and its help, for the docs."""
     lines = ["| field | default | meaning |", "|---|---|---|"]
-    lines += [
-        f"| `{name}` | `{default}` | {text} |" for name, default, text in _rows(Configuration)
-    ]
+    lines += [f"| `{name}` | `{default}` | {text} |" for name, default, text in _every_row()]
     return "\n".join(lines)
+
+
+def _every_row() -> Iterator[tuple[str, Any, str]]:
+    """The configuration's rows, and under `ranges` those of each problem."""
+    for row in _rows(Configuration):
+        yield row
+        if row[0] == "ranges":
+            for problem in problems():
+                for name, value, text in _rows(problem.training.ranges, "ranges."):
+                    yield name, value, f"{problem.title}: {text}"
 
 
 def _rows(kind: Any, prefix: str = "") -> Iterator[tuple[str, Any, str]]:

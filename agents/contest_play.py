@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.contest import BEST_FIXED, OWN, Condition, Contender, Labels, Result, World
+from agents.contest import BEST_FIXED, OWN, Condition, Contender, Labels, Result
+from agents.league import League
 from navgym._checks import Array
 from tuning.comparison import Comparison, Entry, rows_of
-from tuning.measures import find_measure
 
 
 @dataclass(eq=False)
@@ -58,51 +58,51 @@ class Part:
     looks: Mapping[str, Any]
 
 
-def parts(world: World, condition: Condition) -> list[tuple[int, int]]:
+def parts(league: League, condition: Condition) -> list[tuple[int, int]]:
     """(first, count) of the chunks that a condition's recordings are run in."""
-    total = world.count(condition)
-    starts = range(0, total, world.chunk)
-    return [(first, min(world.chunk, total - first)) for first in starts]
+    total, chunk = league.count(condition), league.problem.contest.chunk
+    starts = range(0, total, chunk)
+    return [(first, min(chunk, total - first)) for first in starts]
 
 
-def play(world: World, condition: Condition, first: int, count: int) -> Part:
+def play(league: League, condition: Condition, first: int, count: int) -> Part:
     """Run every contender on some recordings of a condition; what a worker process does."""
     own = condition.kind == OWN
-    cases = world.cases(condition, first, count)
-    contenders = world.contenders(condition, cases)
-    tallies = {c.entry.label: _run(world, condition, c, cases) for c in contenders}
+    cases = league.cases(condition, first, count)
+    contenders = league.contenders(condition, cases)
+    tallies = {c.entry.label: _run(league, condition, c, cases) for c in contenders}
     return Part(
-        tallies, cases.samples, dict(cases.about), world.labels(cases) if own else [],
-        _looks(world, contenders, cases) if own and first == 0 else {},
+        tallies, cases.samples, dict(cases.about), league.labels(cases) if own else [],
+        _looks(league, contenders, cases) if own and first == 0 else {},
     )  # fmt: skip
 
 
-def _run(world: World, condition: Condition, contender: Contender, cases: Any) -> Tally:
+def _run(league: League, condition: Condition, contender: Contender, cases: Any) -> Tally:
     if contender.states is None and not isinstance(contender.entry.parameters, list):
-        world.run(contender, cases.take([0]))  # load its kernels before they are timed
+        league.run(contender, cases.take([0]))  # load its kernels before they are timed
     began = time.perf_counter()
     own = contender.states
-    states, flags = world.run(contender, cases) if own is None else own()
+    states, flags = league.run(contender, cases) if own is None else own()
     spent = time.perf_counter() - began
     scheduled = isinstance(contender.entry.parameters, list)
     return Tally(
         replace(contender.entry, parameters=[]) if scheduled else contender.entry,
-        world.errors(cases, states, world.measured(condition)),
+        league.errors(cases, states, league.measured(condition)),
         np.asarray(flags, dtype=np.bool_),
-        world.seconds(cases, states) if condition.kind == OWN else None,
+        league.seconds(cases, states) if condition.kind == OWN else None,
         contender.fallbacks, spent, contender.latency,
     )  # fmt: skip
 
 
-def _looks(world: World, contenders: Sequence[Contender], cases: Any) -> dict[str, Any]:
+def _looks(league: League, contenders: Sequence[Contender], cases: Any) -> dict[str, Any]:
     """What is looked at on a few recordings only: parameters in time, consistency."""
     chosen = {
-        c.entry.label: _in_time(c.entry, len(world.times(cases)))
+        c.entry.label: _in_time(c.entry, len(league.times(cases)))
         for c in contenders
         if isinstance(c.entry.parameters, list) and c.entry.parameters
     }
-    judged = {c.entry.label: world.consistency(c, cases) for c in contenders if c.states is None}
-    return {"chosen": chosen, "time": world.times(cases), "consistency": judged}
+    judged = {c.entry.label: league.consistency(c, cases) for c in contenders if c.states is None}
+    return {"chosen": chosen, "time": league.times(cases), "consistency": judged}
 
 
 def _in_time(entry: Entry, steps: int) -> dict[str, Array]:
@@ -115,7 +115,7 @@ def _in_time(entry: Entry, steps: int) -> dict[str, Array]:
     return found
 
 
-def joined(world: World, condition: Condition, found: Sequence[Part]) -> Result:
+def joined(league: League, condition: Condition, found: Sequence[Part]) -> Result:
     """All parts of a condition as one result."""
     about = dict(found[0].about)
     if "seeds" in about:
@@ -127,7 +127,7 @@ def joined(world: World, condition: Condition, found: Sequence[Part]) -> Result:
     }
     return Result(
         condition,
-        {name: _compared(world, name, each, samples, about) for name in world.measured(condition)},
+        {name: _compared(league, name, each, samples, about) for name in league.measured(condition)},
         [label for p in found for label in p.labels],
         {label: float(np.concatenate(s).mean()) for label, s in shares.items() if s},
         **found[0].looks,
@@ -135,22 +135,23 @@ def joined(world: World, condition: Condition, found: Sequence[Part]) -> Result:
 
 
 def _compared(
-    world: World,
+    league: League,
     name: str,
     each: Mapping[str, Sequence[Tally]],
     samples: int,
     about: Mapping[str, Any],
 ) -> Comparison:
     """The comparison by one quantity."""
-    measure = find_measure(world.half, name)
+    problem = league.problem
+    measure = problem.scoring.measures[name]
     errors = {k: np.concatenate([t.quantities[name] for t in ts]) for k, ts in each.items()}
     flags = {k: np.concatenate([t.flags for t in ts]) for k, ts in each.items()}
     spent = {k: 1e6 * sum(t.spent for t in ts) / samples + ts[0].latency for k, ts in each.items()}
     entries = [ts[0].entry for ts in each.values()]
-    ends = (world.plain, world.top)
-    rows = rows_of(entries, errors, flags, BEST_FIXED, ends, measure, world.half, world.yardstick)
+    ends, yardstick = (problem.contest.plain, problem.contest.top), problem.contest.yardstick
+    rows = rows_of(entries, errors, flags, BEST_FIXED, ends, measure, problem, yardstick)
     squared = {}
-    if name == world.quantities[0]:
+    if name == league.quantities[0]:
         kept = {k: [t.seconds for t in ts if t.seconds is not None] for k, ts in each.items()}
         squared = {k: np.concatenate(s) for k, s in kept.items() if s}
     return Comparison(rows, BEST_FIXED, about, errors, spent, squared, measure)

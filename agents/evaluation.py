@@ -9,45 +9,39 @@ from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
-from agents import auv_contest, deck_contest
 from agents.combiner import KIND as COMBINER_KIND
 from agents.combiner import Combiner
 from agents.contest import (
     BEST_FIXED,
     FALLBACK,
+    HAND_RULE,
     OWN,
     SHIFT,
     Condition,
+    Extent,
     Result,
-    Size,
-    World,
     short,
 )
 from agents.contest_play import Part, joined, parts, play
+from agents.league import League
 from agents.policy import KIND, PRETRAINED, Policy
 from agents.portable import pair
-from agents.rollout import AUV, DECK
+from agents.rollout import problem_in
 from navgym._checks import one_of, positive_int
 from navgym.metrics import PairedDifference, holm
+from navgym.problem import Tracks, environments, problem_of
+from navgym.simulation import find_scenario
 from navgym.simulation import scenarios as known_scenarios
 from tuning.comparison import Comparison
 from tuning.executors import workers
 
 COMBINED = "bank + combiner"
-FULL, QUICK = Size(), Size(auv=40, deck=8, deck_other=4, draws=2, quick=True)
 LEVEL = 0.05  # of the tests, several policies together
 PRICE = 0.02  # by how much another quantity may grow
-# what adapts without having learnt anything, by environment
-NOT_LEARNT: Mapping[str, tuple[str, ...]] = {
-    AUV: ("hand rule", "imm", "imm_wide", "bank", "bank_bursts"), DECK: ("hand rule",),
-}  # fmt: skip
-WORLDS: Mapping[str, Any] = {AUV: auv_contest.AUVWorld, DECK: deck_contest.DeckWorld}
-SERVES: Mapping[str, Any] = {AUV: auv_contest.serves, DECK: deck_contest.serves}
 
 
 @dataclass(frozen=True)
@@ -90,12 +84,12 @@ class Bench:
     """All contests of one environment.
 
     Args:
-        world: who took part.
+        league: who took part.
         results: per condition, the own ones first.
         verdicts: per policy and condition that it was trained for.
     """
 
-    world: World
+    league: League
     results: tuple[Result, ...]
     verdicts: tuple[Verdict, ...]
 
@@ -171,21 +165,21 @@ def load_combiners(paths: Sequence[Path]) -> dict[str, Combiner]:
     return {label: Combiner.load(p) for label, p in zip(labels, paths, strict=True)}
 
 
-def worlds(
+def leagues(
     policies: Mapping[str, Policy],
-    size: Size,
+    extent: Extent,
     scenarios: Sequence[str] = (),
     folder: Path | None = None,
     fallback: bool = True,
     combiners: Mapping[str, Combiner] = MappingProxyType({}),
-) -> list[World]:
-    """A world per environment that the policies come from.
+) -> list[League]:
+    """A league per environment that the policies come from.
 
     Args:
         policies: by label.
-        size: how much to run.
+        extent: how much to run.
         scenarios: to judge policies on; those that they were trained on by default.
-        folder: of the A-KIT tracks; None leaves them out.
+        folder: of real tracks, or of a folder per set of them; None leaves them out.
         fallback: whether policies also run with their fallback.
         combiners: learned combiners of the bank to run beside, by label.
 
@@ -196,17 +190,29 @@ def worlds(
     for name in scenarios:
         one_of("scenario", name, known_scenarios())
     for label, policy in policies.items():
-        one_of(f"environment of policy {label!r}:", policy.manifest.environment, WORLDS)
+        one_of(f"environment of policy {label!r}:", policy.manifest.environment, environments())
     found = []
-    for environment, make in WORLDS.items():
+    for environment in environments():
         mine = {k: p for k, p in policies.items() if p.manifest.environment == environment}
         if not mine:
             continue
         each = {k: own_conditions(k, p, scenarios) for k, p in mine.items()}
         own = {c.name: c for conditions in each.values() for c in conditions}
         answers = {k: [c.name for c in conditions] for k, conditions in each.items()}
-        found.append(make(mine, list(own.values()), size, fallback, folder, combiners, answers))
+        tracks = _folder(folder, problem_in(environment).tracks)
+        found.append(
+            League(
+                environment, mine, list(own.values()), extent, fallback, tracks, combiners, answers
+            )
+        )
     return found
+
+
+def _folder(given: Path | None, tracks: Tracks | None) -> Path | None:
+    """Where a problem's tracks lie: in the folder given, or in one of their name there."""
+    if given is None or tracks is None:
+        return None
+    return given / tracks.name if (given / tracks.name).is_dir() else given
 
 
 def own_conditions(label: str, policy: Policy, scenarios: Sequence[str] = ()) -> list[Condition]:
@@ -217,18 +223,20 @@ def own_conditions(label: str, policy: Policy, scenarios: Sequence[str] = ()) ->
     settings, environment = policy.manifest.settings, policy.manifest.environment
     given = settings["scenario"]
     trained = (given,) if isinstance(given, str) else tuple(given)
-    half = "auv" if environment == AUV else "deck"
-    chosen = [s for s in scenarios if s.startswith(f"{half}/")]
+    problem = problem_in(environment)
+    chosen = [s for s in scenarios if problem_of(s) is problem]
     if scenarios and not chosen:
         raise ValueError(
             f"policy {label!r} was trained in {environment} and cannot serve {scenarios[0]!r}: name "
-            f"a scenario of the kind {half}/..., such as {trained[0]!r}."
+            f"a scenario of the kind {problem.name}/..., such as {trained[0]!r}."
         )
     overrides = {} if scenarios else dict(settings.get("overrides") or {})
     found = []
     for name in chosen or trained:
         one_of(f"scenario of policy {label!r}:", name, known_scenarios())
-        SERVES[environment](name)
+        reason = problem.environment.refuses(find_scenario(name))
+        if reason is not None:
+            raise ValueError(f"a policy of {environment} cannot serve {name!r}: {reason}.")
         changes = ", ".join(f"{k}={v}" for k, v in overrides.items())
         title = f"{short(name)}, {changes}" if changes else short(name)
         found.append(Condition(title, name, overrides, OWN))
@@ -239,7 +247,7 @@ def own_conditions(label: str, policy: Policy, scenarios: Sequence[str] = ()) ->
 
 
 def evaluate(
-    found: Sequence[World],
+    found: Sequence[League],
     processes: int = 1,
     progress: bool = True,
     told: Callable[[Bench], None] | None = None,
@@ -247,53 +255,56 @@ def evaluate(
     """Run every contest.
 
     Args:
-        found: the worlds.
+        found: the leagues.
         processes: worker processes; 1 runs everything in this one.
         progress: whether to show a bar.
-        told: called with each world's bench as soon as it is there.
+        told: called with each league's bench as soon as it is there.
 
     The answer does not depend on `processes`, times excepted.
     """
     positive_int("workers", processes)
     benches = []
     with workers(processes) as executor:
-        for world in found:
-            benches.append(_bench(world, executor, progress))
+        for league in found:
+            benches.append(_bench(league, executor, progress))
             if told is not None:
                 told(benches[-1])
     return benches
 
 
-def _bench(world: World, executor: Executor | None, progress: bool) -> Bench:
-    conditions = world.conditions()
-    tasks = [(i, *part) for i, c in enumerate(conditions) for part in parts(world, c)]
+def _bench(league: League, executor: Executor | None, progress: bool) -> Bench:
+    conditions = league.conditions()
+    tasks = [(i, *part) for i, c in enumerate(conditions) for part in parts(league, c)]
     done: dict[tuple[int, int], Part] = {}
     total = sum(count for _, _, count in tasks)
-    what = f"recordings, {world.half}"
+    what = f"recordings, {league.problem.title}"
     with tqdm(total=total, desc=what, disable=not progress, unit="") as bar:
-        for (i, first, count), part in _played(world, conditions, tasks, executor):
+        for (i, first, count), part in _played(league, conditions, tasks, executor):
             done[i, first] = part
             bar.set_postfix_str(conditions[i].name, refresh=False)
             bar.update(count)
     results = []
     for i, condition in enumerate(tqdm(conditions, desc="comparing", disable=not progress)):
         own = [done[key] for key in sorted(done) if key[0] == i]
-        results.append(joined(world, condition, own))
-    return Bench(world, tuple(results), tuple(_verdicts(world, results)))
+        results.append(joined(league, condition, own))
+    return Bench(league, tuple(results), tuple(_verdicts(league, results)))
 
 
 Task = tuple[int, int, int]
 
 
 def _played(
-    world: World, conditions: Sequence[Condition], tasks: Sequence[Task], executor: Executor | None
+    league: League,
+    conditions: Sequence[Condition],
+    tasks: Sequence[Task],
+    executor: Executor | None,
 ) -> Iterator[tuple[Task, Part]]:
     """Each task with its part, as they come."""
     if executor is None:
         for task in tasks:
-            yield task, play(world, conditions[task[0]], *task[1:])
+            yield task, play(league, conditions[task[0]], *task[1:])
         return
-    running = {executor.submit(play, world, conditions[t[0]], *t[1:]): t for t in tasks}
+    running = {executor.submit(play, league, conditions[t[0]], *t[1:]): t for t in tasks}
     for future in as_completed(running):
         yield running[future], future.result()
 
@@ -301,12 +312,12 @@ def _played(
 # ---- judging
 
 
-def _verdicts(world: World, results: Sequence[Result]) -> Iterator[Verdict]:
+def _verdicts(league: League, results: Sequence[Result]) -> Iterator[Verdict]:
     for result in results:
         if result.condition.kind != OWN:
             continue
         name = result.condition.name
-        labels = [label for label in world.policies if name in world.answers[label]]
+        labels = [label for label in league.policies if name in league.answers[label]]
         against = {label: result.main.difference(label, BEST_FIXED) for label in labels}
         if not labels:
             continue
@@ -314,11 +325,11 @@ def _verdicts(world: World, results: Sequence[Result]) -> Iterator[Verdict]:
         adjusted = holm(np.where(np.isfinite(p), p, 1.0))
         shifted = [r for r in results if r.condition.base == name]
         for label, p_holm in zip(labels, adjusted, strict=True):
-            yield _verdict(world, result, shifted, label, against[label], float(p_holm))
+            yield _verdict(league, result, shifted, label, against[label], float(p_holm))
 
 
 def _verdict(
-    world: World,
+    league: League,
     result: Result,
     shifted: Sequence[Result],
     label: str,
@@ -331,20 +342,21 @@ def _verdict(
     prices = tuple(
         c.measure.label for c in list(result.comparisons.values())[1:] if _dearer(c, label)
     )
-    beats = all(beaten(main, label, rival) for rival in rivals(world, main, label))
+    beats = all(beaten(main, label, rival) for rival in rivals(league, main, label))
     losses = [r for r in shifted if beaten(r.main, BEST_FIXED, label)]
     kept = FALLBACK.format(label)
     rescued = [r for r in losses if kept in r.main and not beaten(r.main, BEST_FIXED, kept)]
-    ahead = [n for n in NOT_LEARNT[world.environment] if n in main and beaten(main, n, label)]
+    not_learnt = (HAND_RULE, *league.adapting)
+    ahead = [n for n in not_learnt if n in main and beaten(main, n, label)]
     return Verdict(
         label, result.condition.name, *gains[:3], d.p_value, p_holm, gains[3], beats and p_holm < LEVEL and not prices, prices, tuple(ahead),
         tuple(r.condition.name for r in losses), tuple(r.condition.name for r in rescued),
     )  # fmt: skip
 
 
-def rivals(world: World, found: Comparison, label: str) -> list[str]:
+def rivals(league: League, found: Comparison, label: str) -> list[str]:
     """The fixed parameters that a policy must beat: the best ones here, and its own."""
-    return [n for n in (BEST_FIXED, world.fixed_label(label)) if n in found]
+    return [n for n in (BEST_FIXED, league.fixed_label(label)) if n in found]
 
 
 def beaten(found: Comparison, label: str, other: str) -> bool:

@@ -6,27 +6,26 @@ import os
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from agents.contest import Size
+from agents.contest import Extent
 from agents.evaluation import (
-    FULL,
-    QUICK,
     Bench,
     evaluate,
     failures,
+    leagues,
     load,
     load_combiners,
-    worlds,
 )
 from navgym._atomic import writable_folder
 from navgym._checks import positive_int
+from navgym.problem import problems
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "akit"
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 ABOUT = """Is a policy better than the simpler ways of choosing parameters, and where?
 
@@ -39,7 +38,7 @@ ABOUT = """Is a policy better than the simpler ways of choosing parameters, and 
 Everybody runs on the same fresh recordings (test seeds): fixed parameters, rules, filters that need no
 parameters, bounds that know the truth, and the policies, alone and with their fallback. First the
 scenarios that a policy was trained on, as designed (also where its training drew conditions anew), then shifted ones, scenarios that it was not trained on,
-and real AUV tracks, where the A-KIT data are at hand. Prints the tables; writes report.html (open it
+and real tracks, where the data are at hand. Prints the tables; writes report.html (open it
 in a browser) and results.json to --out. The same command gives the same numbers, times excepted.
 
 Exit status: 0 if every policy is better than the best fixed parameters in the conditions that it was
@@ -58,12 +57,13 @@ class Options:
     combiner: tuple[Path, ...] = ()
     """files of learned combiners to run beside; that of agents/pretrained if none is named"""
     runs: int | None = None
-    """recordings per condition that a policy was trained for (default: 300 of the AUV, 200 of the deck)"""
+    """recordings per condition that a policy was trained for (default: hundreds, as each problem says)"""
     workers: int | None = None
     """processes (default: one per core, at most 8; one with --quick); the numbers do not depend on it, but
     times are those of a busy machine then"""
     data: Path | None = None
-    """folder of the A-KIT tracks (default: ../shared/data/akit beside the repository, if it is there)"""
+    """folder of real tracks, or with a folder per set of them, such as akit (default: ../shared/data beside
+    the repository, if it is there)"""
     out: Path = Path("runs/evaluate")
     """folder for report.html and results.json"""
     fallback: bool = True
@@ -77,18 +77,13 @@ class Options:
             positive_int("runs", self.runs, least=2)
         positive_int("workers", self.processes)
         if self.data is not None and not self.data.is_dir():
-            raise ValueError(f"--data must be the folder of the A-KIT tracks: {self.data} is none.")
+            raise ValueError(f"--data must be a folder of real tracks: {self.data} is none.")
         writable_folder("--out", self.out)
 
     @property
-    def size(self) -> Size:
+    def extent(self) -> Extent:
         """How much is run."""
-        size = QUICK if self.quick else FULL
-        if self.runs is None:
-            return size
-        return replace(
-            size, auv=self.runs, deck=self.runs, deck_other=min(self.runs, size.deck_other)
-        )
+        return Extent(self.quick, self.runs)
 
     @property
     def processes(self) -> int:
@@ -98,8 +93,11 @@ class Options:
 
     @property
     def tracks(self) -> Path | None:
-        """Folder of the real tracks, None where there is none."""
-        return self.data if self.data is not None else (DATA if DATA.is_dir() else None)
+        """Folder of real tracks, None where there is none."""
+        if self.data is not None:
+            return self.data
+        names = [p.tracks.name for p in problems() if p.tracks is not None]
+        return DATA if any((DATA / name).is_dir() for name in names) else None
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -126,16 +124,19 @@ def run(options: Options) -> list[Bench]:
 
     began = time.perf_counter()
     options.check()
-    found = worlds(
-        load(options.policies), options.size, options.scenario, options.tracks, options.fallback,
+    found = leagues(
+        load(options.policies), options.extent, options.scenario, options.tracks, options.fallback,
         load_combiners(options.combiner),
     )  # fmt: skip
-    if options.tracks is None:
-        print("no A-KIT data: the real tracks are left out (name their folder with --data)")
+    sets = [p.tracks.title for p in (each.problem for each in found) if p.tracks is not None]
+    if options.tracks is None and sets:
+        print(
+            f"no {', '.join(sets)} data: real tracks are left out (name their folder with --data)"
+        )
     benches = evaluate(found, options.processes, told=_show)
     basis = report.provenance(
         "evaluate.py",
-        tracks="none" if options.tracks is None else "A-KIT",
+        tracks="none" if options.tracks is None else ", ".join(sets) or "none",
         seeds={"all figures": "test"},
         load=f"{os.getloadavg()[0]:.1f}, {options.processes} processes",
     )

@@ -9,11 +9,19 @@ from typing import Any
 import numpy as np
 
 from agents import evaluation_plots
-from agents.baselines import IMM_OFF
-from agents.contest import BEST_FIXED, DEFAULT, FALLBACK, HAND_RULE, OTHER, REAL, Result
-from agents.evaluation import COMBINED, NOT_LEARNT, Bench, Verdict, beaten
+from agents.contest import (
+    BEST_FIXED,
+    DEFAULT,
+    FALLBACK,
+    HAND_RULE,
+    OTHER,
+    RANDOM,
+    REAL,
+    TRUE_REGIME,
+    Result,
+)
+from agents.evaluation import COMBINED, Bench, Verdict, beaten
 from agents.evaluation_tables import (
-    HALVES,
     bound_of,
     consistency_table,
     error_table,
@@ -23,53 +31,85 @@ from agents.evaluation_tables import (
     regime_table,
     verdict_table,
 )
-from agents.rollout import AUV, ENGINES
+from navgym.problem import Problem
+from navgym.simulation import find_scenario
 from tuning import plots, words
 from tuning.comparison import Comparison
 from tuning.report import Figure, Page, Section, Table, Tile
 
-ABOUT: Mapping[str, str] = {
-    "kf / MCC off": "the plain filter: predicts only where a sample is lost / without correntropy",
-    "random": "parameters drawn anew at each decision (only where a policy was trained)",
-    DEFAULT: "the adaptive filter as shipped, its parameters never changed",
-    HAND_RULE: "of the AUV: covariance matching on innovations; of the deck: the sign of what follows a "
-    "large gyro residual",
-    BEST_FIXED: "the best parameters for the scenario that never change; on tracks: tuned on the other "
-    "half of the tracks",
-    "fixed, as for …": "where they are others: the fixed parameters that a policy starts from",
-    FALLBACK.format("…"): "the policy as deployed, sample by sample: best fixed parameters where it "
-    "would leave what it knows",
-    "true-regime table / schedule": "parameters by the true regime, which nobody knows: a bound",
-    IMM_OFF: "the IMM with every R three times too small",
-    "imm, imm_wide": "6 and 13 Kalman filters over R and Q, weighed by how well they predict",
-    "bank": "24 Kalman filters over R and regimes; nothing in it was learnt",
-    "bank_bursts": "the bank with a regime more, which loses samples in bursts: a loss is evidence",
-    COMBINED: "a small recurrent network that weighs the bank's modes anew",
-    "oracle": "told the true noise of every sample: a bound",
-}  # fmt: skip
 SCORING = (
     "A policy is better if the 95 % interval of its paired gain over the best fixed parameters (BCa "
     "bootstrap over recordings) stays above 0, if the permutation test agrees after Holm's correction "
     "for the policies tried on the same recordings, and if no other quantity grows by more than 2 %. An "
-    "interval that touches 0 counts as not better. Score: 0 = the plain filter (AUV: predict-only Kalman "
-    "filter, deck: no correntropy), 1 = the bound (AUV: oracle, deck: true-regime schedule)."
+    "interval that touches 0 counts as not better. Score: 0 = the plain filter, 1 = the bound: {ends}."
 )
 NOTE = (
     "Everybody on the same recordings. Gains are paired, intervals from BCa bootstrap, p from sign "
     "flips, without correction. A run counts as diverged if it was flagged, failed, or is ten times "
-    "worse than the oracle's (of the deck: than without correntropy)."
+    "worse than that of {yardstick}."
 )
+
+
+def scoring(benches: Sequence[Bench]) -> str:
+    """How verdicts come about."""
+    problems = [b.league.problem for b in benches]
+    ends = [f"{p.title} `{p.contest.plain}` and `{p.contest.top}`" for p in problems]
+    return SCORING.format(ends="; ".join(ends))
+
+
+def note(bench: Bench) -> str:
+    """What a ladder's figures are."""
+    return NOTE.format(yardstick=f"`{bench.league.problem.contest.yardstick}`")
+
+
+def about(problem: Problem) -> dict[str, str]:
+    """Everybody in a problem's ladders, and what they are."""
+    contest = problem.contest
+    plain, *rivals = contest.rivals
+    on_tracks = "; on tracks: tuned on the other fold of the tracks" if problem.tracks else ""
+    found = {
+        plain.label: plain.about,
+        RANDOM: "parameters drawn anew at each decision (only where a policy was trained)",
+        DEFAULT: f"the adaptive filter (`{contest.default}`) as shipped, its parameters never changed",
+        HAND_RULE: contest.rule,
+        BEST_FIXED: "the best parameters for the scenario that never change" + on_tracks,
+        "fixed, as for …": "where they are others: the fixed parameters that a policy starts from",
+        FALLBACK.format(
+            "…"
+        ): "the policy as deployed, sample by sample: best fixed parameters where "
+        "it would leave what it knows",
+        TRUE_REGIME: "parameters by the true regime, which nobody knows: a bound",
+    }
+    return found | {r.label: r.about for r in rivals}
+
+
+def who(benches: Sequence[Bench]) -> list[Table]:
+    """A table of everybody, per problem; only those who ran somewhere."""
+    found = []
+    for bench in benches:
+        ran = {label for r in bench.results for label in r.main.errors}
+        known = about(bench.league.problem)
+        if COMBINED in ran:
+            known[COMBINED] = "a small recurrent network that weighs the bank's modes anew"
+        rows = [list(row) for row in known.items() if row[0] in ran or "…" in row[0]]
+        found.append(
+            Table(
+                ["contender", "what it is"], rows, bench.league.problem.title, text_columns=(0, 1)
+            )
+        )
+    return found
 
 
 def page(benches: Sequence[Bench], provenance: Mapping[str, Any]) -> Page:
     """The report."""
-    sections = [Section("Verdict", [SCORING], [verdict_table(b) for b in benches if b.verdicts])]
+    sections = [
+        Section("Verdict", [scoring(benches)], [verdict_table(b) for b in benches if b.verdicts])
+    ]
     for bench in benches:
         for result in bench.own():
             sections += _own(bench, result)
         sections += _rest(bench)
-    who = Table(["contender", "what it is"], [list(r) for r in ABOUT.items()], text_columns=(0, 1))
-    sections.append(Section("Who is who", [], [who]))
+    sections.append(Section("Who is who", [], list(who(benches))))
     lede = [_sentence(bench, v) for bench in benches for v in bench.verdicts]
     title = "Does the policy beat the simpler ways?"
     return Page(title, lede, sections, _tiles(benches), provenance)
@@ -116,11 +156,11 @@ def _tiles(benches: Sequence[Bench]) -> list[Tile]:
 
 def _own(bench: Bench, result: Result) -> list[Section]:
     name, main = result.condition.name, result.main
-    title = f"{HALVES[bench.world.half]}, {name}"
+    title = f"{bench.league.problem.title}, {name}"
     runs = len(next(iter(main.errors.values())))
     caption = f"Mean over {runs} fresh recordings of {main.measure.axis}, with its 95 % interval. Dashed: the lowest bound. Hollow: needs the truth. Pale and cut: diverges."
     figure = plots.ladder(main, learners(bench), caption, ranked=False)
-    items: list[Table | Figure] = [figure, *ladders(bench, result, NOTE)]
+    items: list[Table | Figure] = [figure, *ladders(bench, result, note(bench))]
     found = [Section(f"{title}: the ladder", list(_ahead(bench, result)), items)]
     found.append(Section(f"{title}: parameters and errors in time", [], _in_time(bench, result)))
     looks: list[Table | Figure] = [regime_table(bench, result)] if result.labels else []
@@ -136,22 +176,24 @@ def _own(bench: Bench, result: Result) -> list[Section]:
 def _ahead(bench: Bench, result: Result) -> Iterator[str]:
     """Where something without learning wins, and how far the bounds are."""
     main = result.main
-    filters = [n for n in NOT_LEARNT[bench.world.environment] if n != HAND_RULE]
-    for label in bench.world.policies:
+    filters = bench.league.adapting
+    for label in bench.league.policies:
         if main[label].diverges:
             yield f"`{label}` diverges."
             continue
-        text = words.versus(main, label, HAND_RULE)
+        beside = [HAND_RULE] if HAND_RULE in main else []
         bound = bound_of(main)
-        text += f" {words.versus(main, label, bound.label)}" if bound is not None else ""
-        yield f"{text} {words.without_learning(main, filters, label)}" if filters else text
+        beside += [bound.label] if bound is not None else []
+        found = [words.versus(main, label, other) for other in beside]
+        found += [words.without_learning(main, filters, label)] if filters else []
+        yield " ".join(found)
     yield f"The smallest error that anyone can have here is that of **`{words.best(main).label}`**."
 
 
 def _in_time(bench: Bench, result: Result) -> list[Table | Figure]:
     colors = _colors(bench, result.main)
-    space = ENGINES[bench.world.environment][1].SPACE
-    steered = {n for p in bench.world.policies.values() for n in p.manifest.action_parameters}
+    space = bench.league.problem.environment.settings.SPACE
+    steered = {n for p in bench.league.policies.values() for n in p.manifest.action_parameters}
     names = [p.name for p in space if p.name in steered]
     caption = (
         "What was chosen on the first recording, over the true regime (tint), which only the bound "
@@ -189,28 +231,28 @@ def _rest(bench: Bench) -> list[Section]:
     real = [r for r in bench.rest() if r.condition.kind == REAL]
     found = []
     if others:
-        title = f"{HALVES[bench.world.half]}: scenarios that no policy here was trained on"
+        title = f"{bench.league.problem.title}: scenarios that no policy here was trained on"
         found.append(_several(bench, title, others))
     return [*found, _tracks(bench, real)] if real else found
 
 
 def _several(bench: Bench, title: str, results: Sequence[Result]) -> Section:
-    text = [_worse(bench, label, results) for label in bench.world.policies]
+    text = [_worse(bench, label, results) for label in bench.league.policies]
     if results[0].condition.kind == OTHER:
         text.append(
             f"`{BEST_FIXED}` was tuned for each of these scenarios, which the policies have never met; "
             "“fixed, as for …” is what their user would have without them."
         )
-    if any(r.condition.scenario == "auv/turn" for r in results):
-        text.append("In `turn` the oracle knows nothing of the turns, and bounds nothing.")
-    return Section(title, text, [gain_table(bench, results), error_table(results)])
+        summaries = [(r.condition, find_scenario(r.condition.scenario).summary) for r in results]
+        text += [f"`{condition.name}`: {summary}." for condition, summary in summaries]
+    return Section(title, text, [gain_table(bench, results), error_table(bench, results)])
 
 
 def _worse(bench: Bench, label: str, results: Sequence[Result]) -> str:
     """Where a policy, and where its fallback, stays behind."""
     found = [_against_fixed(n, results) for n in (label, FALLBACK.format(label))]
     ahead = []
-    for name in (*NOT_LEARNT[bench.world.environment], COMBINED):
+    for name in (HAND_RULE, *bench.league.adapting, COMBINED):
         times = sum(name in r.main and beaten(r.main, name, label) for r in results)
         ahead += [f"`{name}` in {times}"] if times else []
     found += [f"It is beaten by {plainly(ahead)}."] if ahead else []
@@ -229,24 +271,25 @@ def _against_fixed(name: str, results: Sequence[Result]) -> str:
 
 def _tracks(bench: Bench, results: Sequence[Result]) -> Section:
     hardest = results[-1]
+    problem = bench.league.problem
+    assert problem.tracks is not None
     text = [
-        "Tracks 1-6 of the Snapir AUV (A-KIT, github.com/ansfl/A-KIT): real Doppler velocity, "
-        "position fixes made from the post-processed reference with 1 m of noise, independent losses. "
-        f"`{BEST_FIXED}` was tuned on the other half of the tracks; no policy has seen any. Intervals "
-        "are over runs; they speak of these tracks."
+        f"{problem.tracks.about} `{BEST_FIXED}` was tuned on the other fold of the tracks; no policy "
+        "has seen any. Intervals are over runs; they speak of these tracks."
     ]
-    for label in bench.world.policies:
-        each = [words.versus(hardest.main, label, n) for n in ("kf", BEST_FIXED, "bank")]
+    rivals = [problem.contest.plain, BEST_FIXED, problem.contest.highlight]
+    for label in bench.league.policies:
+        each = [words.versus(hardest.main, label, n) for n in rivals if n in hardest.main]
         text.append(f"**{hardest.condition.name}**: {' '.join(each)}")
-    return Section("Real tracks", text, [gain_table(bench, results), error_table(results)])
+    return Section("Real tracks", text, [gain_table(bench, results), error_table(bench, results)])
 
 
 def _colors(bench: Bench, main: Comparison) -> dict[str, str]:
     """Colours of the few contenders that are shown in time."""
     found = {BEST_FIXED: plots.PLAIN, HAND_RULE: plots.MORE[1]}
     tints = [plots.OWN, plots.MORE[3], plots.MORE[2]]
-    found |= dict(zip(bench.world.policies, tints, strict=False))
+    found |= dict(zip(bench.league.policies, tints, strict=False))
     bound = bound_of(main)
     found |= {} if bound is None else {bound.label: plots.INK}
-    found |= {"bank": plots.BEST} if bench.world.environment == AUV else {}
+    found |= {bench.league.problem.contest.highlight: plots.BEST}
     return {k: c for k, c in found.items() if k in main and not main[k].diverges}

@@ -9,27 +9,31 @@ from typing import Any
 
 import numpy as np
 
-from agents.baselines import IMM_OFF
-from agents.contest import AS_TRAINED, BEST_FIXED, FALLBACK, HAND_RULE, OWN, Result
+from agents.contest import (
+    AS_TRAINED,
+    BEST_FIXED,
+    FALLBACK,
+    HAND_RULE,
+    OWN,
+    RANDOM,
+    TRUE_REGIME,
+    Result,
+)
 from agents.evaluation import Bench, Verdict
 from navgym._checks import Array
 from tuning import tables, words
 from tuning.comparison import Comparison, Row
 from tuning.report import Table
 
-HALVES = {"auv": "AUV", "deck": "Deck"}
-TABLE = "true-regime"  # how labels of what follows the true regime begin
-ASIDE = ("random", IMM_OFF)  # left out of the wide tables; results.json has them
-
 
 def learners(bench: Bench) -> list[str]:
     """Policies and their fallbacks: what is set off."""
-    return [n for label in bench.world.policies for n in (label, FALLBACK.format(label))]
+    return [n for label in bench.league.policies for n in (label, FALLBACK.format(label))]
 
 
 def bound_of(found: Comparison) -> Row | None:
     """The row that follows the true regime."""
-    return next((r for r in found.rows if r.label.startswith(TABLE)), None)
+    return next((row for row in found.rows if row.label == TRUE_REGIME), None)
 
 
 def marks(bench: Bench, rows: Mapping[str, Any]) -> list[str]:
@@ -43,14 +47,14 @@ def marks(bench: Bench, rows: Mapping[str, Any]) -> list[str]:
 
 def verdict_table(bench: Bench) -> Table:
     """One line per policy and condition that it was trained for."""
-    others = bench.world.quantities[1:]
+    others = bench.league.quantities[1:]
     first = next(bench.own())
     head = ["policy", "on", f"gain in {first.main.measure.label}", "p (Holm)", "score"]
     head += ["of the table's gain", *(f"in {first.comparisons[q].measure.label}" for q in others)]
     head += ["µs/step", "fallback", "better?"]
     rows = [_verdict_row(bench, v, others) for v in bench.verdicts]
     caption = (
-        f"{bench.world.environment}. Of the table's gain: against the parameters by true regime. "
+        f"{bench.league.environment}. Of the table's gain: against the parameters by true regime. "
         "µs/step: the filter, and the policy's time for one decision spread over its steps, on this "
         "machine with all else that ran on it. Fallback: share of the time that it is in force where "
         "the policy runs with one."
@@ -151,7 +155,7 @@ def consistency_table(bench: Bench, result: Result) -> Table:
 
 def gain_table(bench: Bench, results: Sequence[Result]) -> Table:
     """Gain over the best fixed parameters, a row per condition."""
-    fixed = dict.fromkeys(bench.world.fixed_label(k) for k in bench.world.policies)
+    fixed = dict.fromkeys(bench.league.fixed_label(k) for k in bench.league.policies)
     wanted = (HAND_RULE, *fixed, *learners(bench))
     shown = [k for k in wanted if any(k in r.main for r in results)]
     rows = [[r.condition.name, *(_gain(r.main, k) for k in shown)] for r in results]
@@ -165,10 +169,18 @@ def _gain(found: Comparison, label: str) -> str:
     return "diverges" if found[label].diverges else tables.gain(found[label])
 
 
-def error_table(results: Sequence[Result]) -> Table:
+def aside(bench: Bench) -> tuple[str, ...]:
+    """What is left out of the wide tables (results.json has it): dice, and filters that are wrong on purpose."""
+    contest = bench.league.problem.contest
+    others = [r for r in contest.rivals if not (r.adapts or r.bound or r.real_only)]
+    return (RANDOM, *(r.label for r in others if r.label != contest.plain))
+
+
+def error_table(bench: Bench, results: Sequence[Result]) -> Table:
     """Errors, a row per condition, the best that anyone can have in bold."""
     columns = list(dict.fromkeys(row.label for r in results for row in r.main.rows))
-    columns = [k for k in columns if k not in ASIDE]
+    left_out = aside(bench)
+    columns = [k for k in columns if k not in left_out]
     rows = [[r.condition.name, *(_error(r.main, k) for k in columns)] for r in results]
     caption = (
         f"{results[0].main.measure.axis}: mean over recordings; bold: the smallest of those that "
@@ -191,16 +203,16 @@ def several(bench: Bench, results: Sequence[Result]) -> list[str]:
     """Gains with their intervals, and the whole ladder's errors, for a terminal."""
     if not results:
         return []
-    return [t.as_text() for t in (gain_table(bench, results), error_table(results))]
+    return [t.as_text() for t in (gain_table(bench, results), error_table(bench, results))]
 
 
 def as_text(benches: Sequence[Bench]) -> str:
     """The tables for a terminal."""
     found = []
     for bench in benches:
-        half = HALVES[bench.world.half]
+        title = bench.league.problem.title
         for result in bench.own():
-            found.append(f"{half}, {result.condition.name}")
+            found.append(f"{title}, {result.condition.name}")
             found += [t.as_text() for t in ladders(bench, result)]
             others = bench.shifts(result.condition.name)
             found += several(bench, others)
@@ -215,10 +227,10 @@ def as_json(benches: Sequence[Bench], provenance: Mapping[str, Any]) -> dict[str
     """
     found: dict[str, Any] = {"provenance": dict(provenance)}
     for bench in benches:
-        found[bench.world.environment] = {
+        found[bench.league.environment] = {
             "policies": {
                 k: {"settings": dict(p.manifest.settings), "training": dict(p.manifest.training)}
-                for k, p in bench.world.policies.items()
+                for k, p in bench.league.policies.items()
             },
             "verdicts": [{k: _number(v) for k, v in asdict(v).items()} for v in bench.verdicts],
             "conditions": {_key(r): _result(r) for r in bench.results},

@@ -24,7 +24,8 @@ class FallbackRule:
     the second half a filter whose best parameters leave it inconsistent (outliers, a wrong
     model) would never be trusted. What is foretold is scored by a heavy-tailed density, since
     under a Gaussian one a policy that is right to leave outliers out looks worse for each of them.
-    On decks the rate channels are judged: velocity noise is set wider than it is on purpose.
+    Which channels are judged is the live lane's to say: of the deck's, the rates, since velocity
+    noise is set wider than it is on purpose.
 
     Args:
         margin: share of each element's range in training, or of 1 where the range is narrower,

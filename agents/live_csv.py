@@ -10,12 +10,15 @@ from pathlib import Path
 
 import numpy as np
 
-from agents.streaming import LiveEstimate, SelfTuningFilter, Steering
+from agents.streaming import SelfTuningFilter, Steering
 from navgym._checks import Array, one_of, within
 from navgym._tables import Table
 from navgym.csv_log import ANNOTATIONS, STATES, default_model, lost_flags, measured_columns
+from navgym.envs.live import LiveEstimate
 from navgym.models import LinearModel
+from navgym.problem import problems
 
+FORMAT = "csv"  # of the reader that understands such a log
 SOURCE = Path("input")  # what errors call it
 KNOWN = (
     "time", *STATES, "lost", *(f"lost_{n}" for n in STATES), *(f"truth_{n}" for n in STATES),
@@ -61,7 +64,7 @@ def estimates(
 
     Args:
         lines: header first.
-        policy: of qivbf.
+        policy: of the problem that reads such logs.
         noise: what the model believes.
         notice: told of lines left out, of fall-backs and of restarts.
         delimiter: between cells.
@@ -72,7 +75,8 @@ def estimates(
     """
     if len(delimiter) != 1:
         raise ValueError(f"delimiter must be one character, got {delimiter!r}.")
-    SelfTuningFilter("qivbf", policy, LinearModel())  # says what is wrong with the policy
+    filter_name = _steered()
+    SelfTuningFilter(filter_name, policy, LinearModel())  # says what is wrong with the policy
     rows = ((number, line) for number, line in enumerate(lines, start=1) if line.strip())
     header = _cells(next(rows, (0, ""))[1].removeprefix("\ufeff"), delimiter)
     measured = _checked_header(header)
@@ -85,7 +89,7 @@ def estimates(
             time, y = _sample(header, _cells(line, delimiter), number, measured)
             clock.check(time)
             if tuned is None:
-                tuned = _started(time, y, measured, policy, noise)
+                tuned = _started(time, y, measured, policy, noise, filter_name)
             found = None if tuned is None else tuned.step(y, time=time)
             clock.last = time
         except ValueError as error:
@@ -100,6 +104,13 @@ def estimates(
             notice(f"time {time:g}: the filter diverged and was started again")
         reason = found.fallback
         yield _written(found)
+
+
+def _steered() -> str:
+    """The filter whose parameters policies set in the problem that reads such logs."""
+    own = next(p for p in problems() if FORMAT in p.readers)
+    name: str = own.environment.settings.FILTER
+    return name
 
 
 class _Clock:
@@ -168,7 +179,12 @@ def _sample(
 
 
 def _started(
-    time: float, y: Array, measured: Sequence[str], policy: Steering, noise: Noise
+    time: float,
+    y: Array,
+    measured: Sequence[str],
+    policy: Steering,
+    noise: Noise,
+    filter_name: str,
 ) -> SelfTuningFilter | None:
     """The filter, started by a line's position (and velocity); None where a position is missing."""
     known = dict(zip(measured, y.tolist(), strict=True))
@@ -183,7 +199,7 @@ def _started(
         Q = LinearModel.white_acceleration(step, noise.acceleration).Q
         return LinearModel(dt=step, H=start.H, Q=Q, R=start.R, x0=before, P0=start.P0)
 
-    return SelfTuningFilter("qivbf", policy, model, interval=noise.step)
+    return SelfTuningFilter(filter_name, policy, model, interval=noise.step)
 
 
 def _told(reason: str | None) -> str:

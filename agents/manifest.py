@@ -10,11 +10,10 @@ from typing import Any
 
 from navgym._storage import writable
 from navgym.envs.base import LaneEngine
+from navgym.envs.settings import LaneSettings
 from navgym.estimation import parameter_space
 from navgym.parameters import ParameterSpace
-from navgym.simulation import WORLDS
-
-_KINDS: Mapping[type, str] = {world.scenario: prefix for prefix, world in WORLDS.items()}
+from navgym.problem import environments, problem_of
 
 
 @dataclass(frozen=True)
@@ -73,8 +72,7 @@ class Manifest:
         given["overrides"] = None if given["overrides"] is None else dict(given["overrides"])
         return cls(
             environment=environment,
-            settings=given
-            | {"scenario": _names(engine.settings.scenario), "reference": engine.reference},
+            settings=given | {"scenario": _names(engine.settings), "reference": engine.reference},
             filter=engine.settings.FILTER,
             observation_names=engine.observation_names,
             space=engine.space.fingerprint,
@@ -90,7 +88,8 @@ class Manifest:
     @property
     def whole_space(self) -> ParameterSpace:
         """The filter's whole space, in this navgym."""
-        return parameter_space(self.filter)
+        known = self.environment in environments()  # one of another version may not be
+        return parameter_space(self.filter, problem_of(self.environment) if known else None)
 
     def check(self, environment: str, observation_names: Sequence[str], space: str) -> None:
         """Raise ValueError, naming both sides, unless the policy was made for just this.
@@ -119,10 +118,11 @@ class Manifest:
             )
 
 
-def _names(scenario: Any) -> list[str]:
+def _names(settings: LaneSettings) -> list[str]:
     """Scenarios of an environment by name."""
-    several: list[Any] = [scenario] if isinstance(scenario, (str, *_KINDS)) else list(scenario)
-    return [s if isinstance(s, str) else f"{_KINDS[type(s)]}/{s.name}" for s in several]
+    given = settings.scenario
+    several: list[Any] = [given] if isinstance(given, (str, settings.SCENARIO)) else list(given)
+    return [s if isinstance(s, str) else problem_of(s).full_name(s) for s in several]
 
 
 def _difference(own: Sequence[str], other: Sequence[str]) -> str:

@@ -42,7 +42,7 @@ def recording(config: Configuration, number: int, seed: int) -> Any:
     names = config.scenarios
     scenario = find_scenario(names[number % len(names)], **dict(config.overrides))
     if config.randomise:
-        scenario = drawn(scenario, config.ranges, seed)
+        scenario = drawn(scenario, config.conditions, seed)
     return simulate_many(scenario, [seed])[0]
 
 

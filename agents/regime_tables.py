@@ -1,6 +1,7 @@
 """Parameters by true regime, per scenario: what a schedule can win that knows what nobody tells.
 
-    python -m agents.regime_tables              tune the AUV tables anew and print them, 3 minutes
+    python -m agents.regime_tables              tune the first problem's tables anew, 3 minutes
+    python -m agents.regime_tables PROBLEM ...  those of the problems named
 
 The regime is truth, so a table is a bound and no filter. It stands beside every policy; a policy can
 also be taught by it.
@@ -10,38 +11,24 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import Any
 
+from navgym._checks import one_of
+from navgym.problem import PROBLEMS, problems
 from navgym.simulation import find_scenario
 
 TRIALS = 300
 
-_SCHEDULED = ("forgetting", "process_noise_scale")
-# From `python -m agents.regime_tables`: tuned on 40 training recordings from the best fixed parameters,
-# the best of the leaders on 40 validation recordings; forgetting, process_noise_scale.
-_AUV: Mapping[str, Mapping[str, tuple[float, float]]] = {
-    "switch-A": {
-        "calm": (0.932, 0.78), "noisy": (0.967, 1.5), "outlier": (0.72, 6.8), "burst": (0.89, 2.5),
-    },
-    "switch-B": {
-        "calm": (0.86, 1.3), "noisy": (0.965, 1.3), "outlier": (0.78, 12.0), "burst": (0.85, 1.3),
-        "manoeuvre": (0.89, 70.0),
-    },
-    "switch-D": {"nominal": (0.915, 1.1), "outlier": (0.79, 10.0), "manoeuvre": (0.88, 120.0)},
-    "tvr": {"calm": (0.83, 2.8), "noisy": (0.9987, 1.1)},
-}  # fmt: skip
-# The correntropy criterion against glitches, and off elsewhere (SCIENCE B3).
-_WIDTHS = {"calm": 50.0, "swell": 50.0, "slam": 50.0, "glitch": 2.0}
-_DECK = ("switch-60", "switch-30", "switch-gyro")
+ByRegime = Mapping[str, Mapping[str, float]]  # regime to values by name
 
-TABLES: Mapping[str, Mapping[str, Mapping[str, float]]] = MappingProxyType(
-    {
-        f"auv/{name}": {g: dict(zip(_SCHEDULED, row, strict=True)) for g, row in table.items()}
-        for name, table in _AUV.items()
+
+def tables() -> dict[str, ByRegime]:
+    """Every table there is, by the scenario's full name."""
+    return {
+        f"{problem.name}/{scenario}": table
+        for problem in problems()
+        for scenario, table in problem.study.tables.items()
     }
-    | {f"deck/{n}": {g: {"kernel_width": w} for g, w in _WIDTHS.items()} for n in _DECK}
-)
 
 
 def rows_by_regime(scenario: str, regimes: Sequence[str]) -> dict[str, list[float]]:
@@ -49,10 +36,11 @@ def rows_by_regime(scenario: str, regimes: Sequence[str]) -> dict[str, list[floa
 
     Raises ValueError for a scenario without a table, or a regime that its table lacks.
     """
-    table = TABLES.get(scenario)
+    known = tables()
+    table = known.get(scenario)
     if table is None:
         raise ValueError(
-            f"there is no table by true regime for {scenario!r}: known for {', '.join(TABLES)}."
+            f"there is no table by true regime for {scenario!r}: known for {', '.join(known)}."
         )
     missing = [name for name in regimes if name not in table]
     if missing:
@@ -64,23 +52,26 @@ def rows_by_regime(scenario: str, regimes: Sequence[str]) -> dict[str, list[floa
     return {name: [table[g][name] for g in regimes] for name in names}
 
 
-def tuned(name: str, trials: int = TRIALS) -> tuple[dict[str, Any], float]:
-    """Tune the table of AUV scenario `name`; returns it and its error on validation seeds, m."""
+def tuned(scenario: str, trials: int = TRIALS) -> tuple[dict[str, Any], float]:
+    """Tune the table of a scenario, by its full name; returns it and its error on validation seeds."""
     from tuning.experiments import regime_table
     from tuning.selection import rounded
 
-    start = dict(find_scenario(f"auv/{name}").reference)
-    goal, best = regime_table(f"auv/{name}", start, trials)
+    goal, best = regime_table(scenario, dict(find_scenario(scenario).reference), trials)
     return rounded(goal.space, best.values), best.result
 
 
-def main() -> int:
-    """Tune and print every AUV table."""
-    for name in _AUV:
-        found, error = tuned(name)
-        print(f"auv/{name}: {error:.4f} m on validation seeds")
-        for parameter, value in found.items():
-            print(f"    {parameter:40} {value:g}")
+def main(words: Sequence[str] | None = None) -> int:
+    """Tune and print the tables of the problems that are named."""
+    names = tuple(sys.argv[1:] if words is None else words) or tuple(PROBLEMS)[:1]
+    for problem in [PROBLEMS[one_of("problem", name, PROBLEMS)] for name in names]:
+        unit = next(iter(problem.scoring.quantities.values())).unit
+        for own in problem.study.tables:
+            scenario = f"{problem.name}/{own}"
+            found, error = tuned(scenario)
+            print(f"{scenario}: {error:.4f} {unit} on validation seeds")
+            for parameter, value in found.items():
+                print(f"    {parameter:40} {value:g}")
     return 0
 
 

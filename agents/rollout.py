@@ -1,40 +1,28 @@
 """What a chooser of parameters does on given recordings: a schedule that any filter run can replay.
 
 A policy or a rule is rolled out on the environment's own engine, one lane per recording. The parameters
-in force at each decision make a schedule, and `navgym.estimation.run` (on decks `run_deck`) with
-that schedule gives the engine's states to the last bit. So everything that compares filters compares
-policies too.
+in force at each decision make a schedule, and the problem's `run` with that schedule gives the engine's
+states to the last bit. So everything that compares filters compares policies too.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from types import MappingProxyType
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navgym._checks import Array, one_of
-from navgym.envs.base import INFORMATION, TERMINATED, TRUNCATED, LaneEngine, LaneSettings
-from navgym.envs.deck_engine import DeckEngine, DeckSettings
-from navgym.envs.engine import Engine, Settings
-from navgym.filters import spaces
-from navgym.filters.catalogue import DECK_CATALOGUE, Filter
+from navgym.envs.base import INFORMATION, TERMINATED, TRUNCATED, LaneEngine
+from navgym.problem import Filter, Problem, environments, problem_of
 
-AUV, DECK = "navgym/AUVDropout-v0", "navgym/DeckDeformation-v0"
-# what makes an engine, by the environment's id
-ENGINES: Mapping[str, tuple[Any, type[LaneSettings]]] = MappingProxyType(
-    {AUV: (Engine, Settings), DECK: (DeckEngine, DeckSettings)}
-)
-# arguments of an environment that decide what a chooser sees and sets; the others are about rewards
-# and where recordings come from
-MATTER = ("decision_interval", "action_parameters", "action", "features", "warmup", "reference")
-NO_TRUTH = "likelihood"  # the reward that asks for none
-# what a deck lane runs while nobody identifies: every parameter of idam, the flexure as believed
-STEERED_DECK = replace(DECK_CATALOGUE["alignment_mcc"], space=spaces.IDAM)
+
+def problem_in(environment: str) -> Problem:
+    """The problem that an environment (an id) plays; ValueError with the nearest id for none."""
+    return problem_of(one_of("environment", environment, environments()))
 
 
 class Chooser(Protocol):
@@ -46,7 +34,7 @@ class Chooser(Protocol):
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """Arguments of that environment; see `MATTER`."""
+        """Arguments of that environment; see `LaneSettings.SEEN`."""
 
     @property
     def width(self) -> int:
@@ -114,13 +102,11 @@ class Rollout:
 
 def engine_for(chooser: Chooser, recordings: Sequence[Any]) -> LaneEngine:
     """The engine that `chooser` knows, with a lane for each of `recordings`."""
-    make, settings = ENGINES[one_of("environment", chooser.environment, ENGINES)]
-    known = {k: v for k, v in chooser.settings.items() if k in MATTER}
-    fields = settings.__dataclass_fields__
-    usual = fields["scenario"].default  # not drawn from: recordings are given
-    chosen = {k: v for k, v in known.items() if k in fields}
-    given = settings(usual, recordings=tuple(recordings), reward=NO_TRUTH, **chosen)
-    engine: LaneEngine = make(given, len(recordings))
+    own = problem_in(chooser.environment).environment
+    usual = own.settings.__dataclass_fields__["scenario"].default  # not drawn from
+    chosen = {n: chooser.settings[n] for n in own.settings.SEEN if n in chooser.settings}
+    given = own.settings(usual, recordings=tuple(recordings), reward=own.settings.BLIND, **chosen)
+    engine: LaneEngine = own.engine(given, len(recordings))
     return engine
 
 
@@ -177,9 +163,7 @@ def _schedules(
     return found, interval
 
 
-def replay_filter(chooser: Chooser) -> str | Filter:
+def replay_filter(chooser: Chooser) -> Filter:
     """The filter whose run with a roll-out's schedules gives the engine's states."""
-    if chooser.environment == AUV:
-        return "qivbf"
     steered = chooser.settings.get("action_parameters", ())
-    return "idam" if "rvm_kernel_scale" in steered else STEERED_DECK
+    return problem_in(chooser.environment).environment.replayed(steered)

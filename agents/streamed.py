@@ -16,7 +16,7 @@ def stream(policy: Policy, recordings: Sequence[Any], steps: int) -> tuple[Array
     """Run `SelfTuningFilter` over recordings as if their samples came in live.
 
     Args:
-        policy: of either environment.
+        policy: of any environment.
         recordings: of its kind.
         steps: filter steps of the longest.
 

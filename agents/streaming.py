@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Protocol
 
@@ -11,20 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.fallback import FallbackRule, Guard
-from agents.rollout import AUV, DECK, MATTER
 from navgym._checks import Array
-from navgym.deck_estimation import attitudes
-from navgym.deck_model import DeckModel
-from navgym.dual_imu import DualIMURecording
-from navgym.envs.deck_engine import DeckSettings
-from navgym.envs.deck_live import LiveDeck
-from navgym.envs.engine import Settings
-from navgym.envs.live import CONTROLLED, REFERENCE, LiveAUV
-from navgym.envs.live import Model as AUVModel
-from navgym.filters.alignment import RATE, THETA
-from navgym.recording import Recording
+from navgym.envs.live import CONTROLLED, REFERENCE, LiveEstimate, LiveLane
+from navgym.problem import Problem, problems
 
-ENVIRONMENTS: Mapping[str, str] = MappingProxyType({"qivbf": AUV, "idam": DECK})
 DIVERGED = "the filter diverged and was started again"
 
 
@@ -42,62 +31,6 @@ class Steering(Protocol):
         """Raise ValueError unless the policy was made for just this."""
 
 
-@dataclass(frozen=True, slots=True)
-class LiveEstimate:
-    """What the filter knows after a sample. The arrays belong to whoever gets it.
-
-    Args:
-        time: s.
-        state: (n,) posterior mean.
-        covariance: (n, n).
-        nis: normalised innovation squared; NaN where nothing was received.
-        parameters: in force for this sample, in physical units.
-        fallback: why these are the best fixed ones instead of the policy's, or None.
-        diverged: whether the filter failed at this sample and was started again.
-    """
-
-    time: float
-    state: Array
-    covariance: Array
-    nis: float
-    parameters: Mapping[str, Any]
-    fallback: str | None
-    diverged: bool
-
-
-@dataclass(frozen=True, slots=True)
-class LiveDeckEstimate(LiveEstimate):
-    """The same of the deck filter, whose states are l, δV, φ, ε, ∇, V_r, θ, θ̇ (IDAM eq. 73).
-
-    Args:
-        tape: (1,) what the step's samples amounted to; see `navgym.filters.mechanization.TAPE`.
-    """
-
-    tape: NDArray[Any]
-
-    @property
-    def attitude(self) -> Array:
-        """(4,) attitude of the sub in the main IMU's axes, quaternion, scalar last."""
-        found: Array = attitudes(self.tape, self.state[None])[0][0]
-        return found
-
-    @property
-    def static(self) -> Array:
-        """(3,) rotation vector of the static deformation and mounting, rad."""
-        found: Array = attitudes(self.tape, self.state[None])[1][0]
-        return found
-
-    @property
-    def theta(self) -> Array:
-        """(3,) dynamic deformation, rad."""
-        return self.state[THETA]
-
-    @property
-    def theta_rate(self) -> Array:
-        """(3,) rad/s."""
-        return self.state[RATE]
-
-
 class SelfTuningFilter:
     """A filter on live data whose parameters a policy sets, with best fixed ones to fall back to.
 
@@ -105,17 +38,17 @@ class SelfTuningFilter:
     second filter runs beside with the best fixed parameters (`policy.manifest.reference`); while
     there is a reason not to trust the policy (see `FallbackRule`) the answers are that filter's.
     The policy's own filter goes on meanwhile, and when the reason has passed, it answers again.
-    Where a filter diverges, it goes on from the other one; where both do, QIVBF goes on from the
-    last sound state with a wider covariance, and the deck filter begins anew, warm-up included.
+    Where a filter diverges, it goes on from the other one; where both do, it starts again as its
+    live lane says: from the last sound state with a wider covariance, or anew with a warm-up.
 
     Args:
-        filter_name: "qivbf" or "idam".
+        filter_name: of an environment: "qivbf" or "idam".
         policy: an `agents.Policy` (or what looks like one) of that filter's environment.
         model: what the filter believes: for qivbf a `navgym.LinearModel` or, where samples come at
             uneven times, a function from a step in s to one, such as
             `navgym.LinearModel.white_acceleration`; for idam a `navgym.DeckModel`.
-        interval: s; for idam between IMU samples, 0.01 by default; for a function as model the step
-            to the first sample, 1 by default.
+        interval: s between samples (of IMUs, for idam), where it is not the live lane's usual one;
+            for a function as model the step to the first sample.
         rates: for idam, whether samples hold rates (rad/s) and specific forces (m/s²) instead of
             increments.
         rule: when to fall back; None: never, but where the filter diverges.
@@ -129,43 +62,31 @@ class SelfTuningFilter:
         self,
         filter_name: str,
         policy: Steering,
-        model: AUVModel | DeckModel,
+        model: Any,
         *,
         interval: float | None = None,
         rates: bool = False,
         rule: FallbackRule | None = FallbackRule(),  # noqa: B008
     ) -> None:
-        if filter_name not in ENVIRONMENTS:
-            raise ValueError(
-                f"filter {filter_name!r} has no environment to learn in, so no policy can set its "
-                f"parameters: use one of {', '.join(ENVIRONMENTS)}."
-            )
         manifest = policy.manifest
+        own = _problem(filter_name, manifest.environment).environment
         if manifest.filter != filter_name:
             raise ValueError(
                 f"the policy sets the parameters of {manifest.filter}, not of {filter_name}: use "
                 f"SelfTuningFilter({manifest.filter!r}, ...), or a policy of {filter_name}."
             )
         known, reference = manifest.settings, dict(manifest.reference)
-        self._lane: Any  # one of two kinds with the same methods
-        if filter_name == "qivbf":
-            chosen = Settings(**_of(Settings, known))
-            usual = 1.0 if interval is None else interval
-            self._lane = LiveAUV(chosen, reference, model, usual)  # type: ignore[arg-type]
-            each = self._lane.model.m
-        else:
-            settings = DeckSettings(**_of(DeckSettings, known))
-            usual = 0.01 if interval is None else interval
-            self._lane = LiveDeck(settings, reference, model, usual, rates)  # type: ignore[arg-type]
-            each = 3
+        # what decides what the policy sees and sets; the reference is given whole
+        seen = [name for name in own.settings.SEEN if name in known and name != "reference"]
+        chosen = own.settings(**{name: known[name] for name in seen})
+        self._lane: LiveLane = own.live(chosen, reference, model, interval, rates)
         self._space = self._lane.settings.SPACE
-        policy.check(ENVIRONMENTS[filter_name], self._lane.names, self._space.fingerprint)
+        policy.check(own.id, self._lane.names, self._space.fingerprint)
         self.policy = policy
         self._interval = self._lane.settings.decision_interval
-        most = each * self._interval
+        most = self._lane.components * self._interval
         self._guard = Guard(rule, self._lane.names, policy.low, policy.high, most)
         self._fixed = self._named(self._lane.reference)
-        self._deck = filter_name == "idam"
         self.reset()
 
     def reset(self) -> None:
@@ -213,9 +134,9 @@ class SelfTuningFilter:
         self._lane.put(measurement, lost, time)
         return self._filter()
 
-    def follow(self, recording: Recording | DualIMURecording) -> Iterator[LiveEstimate]:
+    def follow(self, recording: Any) -> Iterator[LiveEstimate]:
         """The estimates over a recording, as a live stream of its samples would give them."""
-        for sample, time, more in _samples(recording):
+        for sample, time, more in self._lane.samples(recording):
             self._lane.put(sample, None, time, **more)
             found = self._filter()
             if found is not None:
@@ -236,14 +157,7 @@ class SelfTuningFilter:
         if failed:
             self._after(failed)
         which = CONTROLLED if reason is None else REFERENCE
-        state, covariance, nis = self._lane.answer(which)
-        diverged = bool(failed & (1 + which))
-        now = self._lane.time
-        if not self._deck:
-            return LiveEstimate(now, state, covariance, nis, parameters, reason, diverged)
-        return LiveDeckEstimate(
-            now, state, covariance, nis, parameters, reason, diverged, self._lane.tape
-        )
+        return self._lane.told(which, parameters, reason, bool(failed & (1 + which)))
 
     def _decide(self) -> None:
         """Judge the policy, and let it choose parameters for the decision that begins."""
@@ -265,7 +179,7 @@ class SelfTuningFilter:
         if failed & 1:
             self._guard.trip(DIVERGED)
             self._chosen = self._fixed
-        if failed == 3 and self._deck:
+        if failed == 3 and self._lane.begins_anew:
             self._begin()
 
     def _named(self, row: Array) -> Mapping[str, Any]:
@@ -273,23 +187,18 @@ class SelfTuningFilter:
         return MappingProxyType({p.name: p.show(value) for p, value in pairs})
 
 
-def _of(settings: Any, known: Mapping[str, Any]) -> dict[str, Any]:
-    """What of a policy's settings decides what it sees and sets, as arguments of `settings`."""
-    names = set(MATTER) & set(settings.__dataclass_fields__) - {"reference"}
-    return {name: known[name] for name in names if name in known}
+def _problem(filter_name: str, environment: str) -> Problem:
+    """The problem whose environment learns to set that filter's parameters: the policy's, if it does.
 
-
-def _samples(
-    recording: Recording | DualIMURecording,
-) -> Iterator[tuple[Array, float, dict[str, Any]]]:
-    """Samples of a recording, their times, and what else a simulator knows to have arrived."""
-    if isinstance(recording, Recording):
-        for y, time in zip(recording.measurements, recording.time.tolist(), strict=True):
-            yield y, time, {}
-        return
-    names = ("main_angle", "main_velocity", "sub_angle", "sub_velocity")
-    whole = np.stack([getattr(recording, name) for name in names], axis=1)
-    per, errors = recording.model.samples_per_step, recording.disturbance
-    for k in range(recording.steps * per):
-        more = {} if errors is None else {"disturbance": errors[k // per]}
-        yield whole[k], float(recording.time[k]), more
+    Raises ValueError where no environment sets them.
+    """
+    learning = {p.environment.id: p for p in problems()}
+    able = [p for p in learning.values() if filter_name == p.environment.settings.FILTER]
+    if not able:
+        names = ", ".join(p.environment.settings.FILTER for p in learning.values())
+        raise ValueError(
+            f"filter {filter_name!r} has no environment to learn in, so no policy can set its "
+            f"parameters: use one of {names}."
+        )
+    own = learning.get(environment)
+    return own if own is not None and own in able else able[0]

@@ -12,14 +12,14 @@ from typing import Any
 
 from agents import checkpoints
 from agents.checkpoints import Checkpoint, Report
-from agents.configuration import Configuration
+from agents.configuration import Configuration, current
 from agents.policy import Policy
 from agents.record import Mark, versions
 from navgym._atomic import replacing, writable_folder
 
 
 @dataclass(frozen=True)
-class Result:
+class Trained:
     """What a training made.
 
     Args:
@@ -38,7 +38,7 @@ class Result:
 
 def train(
     config: Configuration, fresh: bool = False, report: Report = print, command: str = ""
-) -> Result:
+) -> Trained:
     """Train as `config` says, or go on with what is in its folder.
 
     Args:
@@ -64,12 +64,12 @@ def train(
     trainer = Trainer(config, report, command)
     trainer.begin(kept)
     trainer.run()
-    return Result(*trainer.finish(), folder)
+    return Trained(*trainer.finish(), folder)
 
 
 def _continued(config: Configuration, report: Report) -> Checkpoint | None:
     """The checkpoint to go on from, if there is one; ValueError if it is of another training."""
-    found = checkpoints.to_continue(config.folder, comparable(config), report)
+    found = checkpoints.to_continue(config.folder, comparable(config), report, current)
     if found is None:
         return None
     before, today = found.facts["versions"], versions()

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from agents.configuration import Configuration
 from agents.randomisation import drawn
+from agents.rollout import problem_in
 from navgym._checks import Array
 from navgym.envs.base import INFORMATION, TERMINATED, TRUNCATED, LaneEngine
 from navgym.scenarios import seeds
@@ -25,7 +26,7 @@ Actor = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 
 
 @dataclass(frozen=True)
-class Run:
+class Played:
     """What lanes did on one recording each.
 
     Args:
@@ -82,7 +83,7 @@ def quantities(engine: LaneEngine) -> list[str]:
     return [name for name in names if f"reference_{name}" in names]
 
 
-def play(engine: LaneEngine, act: Actor) -> Run:
+def play(engine: LaneEngine, act: Actor) -> Played:
     """Let `act` set the parameters of lane i on recording i, to the end of each.
 
     One that remembers has a method `begin`, which is called first.
@@ -112,7 +113,7 @@ def play(engine: LaneEngine, act: Actor) -> Run:
     own[failed] = np.inf
     pairs = ((own, reference)[i] for i in (0, 1))
     errors, base = ({n: each[:, j] for j, n in enumerate(names)} for each in pairs)
-    return Run(errors, base, low.astype(np.float64), high.astype(np.float64))
+    return Played(errors, base, low.astype(np.float64), high.astype(np.float64))
 
 
 def engine_on(
@@ -152,7 +153,9 @@ class Validation:
             )
         if config.randomise:
             made = [
-                simulate_many(drawn(scenarios[i % len(scenarios)], config.ranges, seed), [seed])[0]
+                simulate_many(
+                    drawn(scenarios[i % len(scenarios)], config.conditions, seed), [seed]
+                )[0]
                 for i, seed in enumerate(chosen)
             ]
             self.arenas.append(self._arena(RANDOMISED, made, config.reference))
@@ -198,13 +201,9 @@ class Validation:
         )  # fmt: skip
 
     def _score(self, gains: Mapping[str, float]) -> float:
-        """One number from the gains of a set: on decks weighed as the environment's reward does."""
-        if "theta_rate_rmse" not in gains:
-            return next(iter(gains.values()))
-        settings: Any = self.arenas[0].engine.settings
-        ac, price = float(settings.ac_weight), float(settings.theta_price)
-        worse = min(gains["theta_rmse"], 0.0)
-        return gains["theta_rate_rmse"] + ac * gains["theta_ac_rmse"] + price * worse
+        """One number from the gains of a set."""
+        own = problem_in(self.config.environment).environment
+        return own.score(self.arenas[0].engine.settings, gains)
 
 
 def gain(errors: ArrayLike, reference: ArrayLike, mixed: bool = False) -> float:

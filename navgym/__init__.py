@@ -12,7 +12,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from navgym.envs import register_all
+from navgym.problem import register_environments
 
 __version__ = "0.1.0"
 
@@ -28,7 +28,7 @@ _HOME = {
     "ParameterSpace": "navgym.parameters",
     "Recording": "navgym.recording",
     "estimate": "navgym.estimation",
-    "flexure_increments": "navgym.increments",
+    "flexure_increments": "navgym.deck_estimation",
     "identify": "navgym.identification",
     "parameter_space": "navgym.estimation",
     "read": "navgym.readers",
@@ -62,13 +62,12 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from navgym.deck_estimation import DeckEstimate
+    from navgym.deck_estimation import DeckEstimate, flexure_increments
     from navgym.deck_model import DeckModel
     from navgym.dual_imu import DualIMURecording
     from navgym.estimation import Estimate, estimate, filters, parameter_space
     from navgym.flexure import FlexureModel
     from navgym.identification import identify
-    from navgym.increments import flexure_increments
     from navgym.models import LinearModel
     from navgym.parameters import Parameter, ParameterSpace
     from navgym.readers import read
@@ -92,4 +91,4 @@ def __dir__() -> list[str]:
     return sorted(__all__)
 
 
-register_all()
+register_environments()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,19 @@ from navgym.recording import Recording
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Recordings of one model size, stacked for the kernels; shorter ones end in lost samples."""
+    """Recordings of one model size, stacked for the kernels; shorter ones end in lost samples.
+
+    Args:
+        y: (N, T, m) measurements; NaN where lost.
+        lost: (N, T, m).
+        time: (N, T) s.
+        models: (N, 1 or T) packed models.
+        scales: (N, T, 2) true multiples of Q and R, or None.
+        truth: (N, T, n) true states, NaN past a recording's end, or None.
+        lengths: (N,) samples of each.
+        position: the states that are a position.
+        recordings: what was stacked.
+    """
 
     y: Array
     lost: NDArray[np.bool_]
@@ -24,10 +36,14 @@ class Batch:
     scales: Array | None
     truth: Array | None
     lengths: NDArray[np.int64]
+    position: tuple[int, ...]
+    recordings: tuple[Recording, ...] = ()
+
+    decision_interval: ClassVar[int] = 5  # samples per row of a schedule, as in the environment
 
     @classmethod
     def of(cls, recordings: Sequence[Recording]) -> Batch:
-        """Stack `recordings`; ValueError if there is none or if their models differ in size."""
+        """Stack `recordings`; ValueError if there is none or if their models do not fit together."""
         if not recordings:
             raise ValueError("recordings must hold at least one Recording, got none.")
         for r in recordings:
@@ -38,6 +54,9 @@ class Batch:
             raise ValueError(
                 f"recordings must share one model size, got {sorted(sizes)}: split them."
             )
+        positions = {tuple(r.model.position) for r in recordings}
+        if len(positions) > 1:
+            raise ValueError(f"recordings must agree on their position states, got {positions}.")
         lengths = np.array([len(r) for r in recordings])
         longest = int(lengths.max())
         packed = [r.model.pack() for r in recordings]
@@ -59,6 +78,8 @@ class Batch:
             scales=scales,
             truth=np.stack([_pad(r.truth, longest, np.nan) for r in recordings]) if known else None,
             lengths=lengths,
+            position=positions.pop(),
+            recordings=tuple(recordings),
         )
 
     def __len__(self) -> int:
@@ -68,8 +89,35 @@ class Batch:
         """Some of the recordings, in the order of `which`."""
         index = np.asarray(which, dtype=np.int64)
         held: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
-        chosen: dict[str, Any] = {k: a[index] for k, a in held.items() if a is not None}
-        return Batch(**(held | chosen))
+        chosen: dict[str, Any] = {k: a[index] for k, a in held.items() if isinstance(a, np.ndarray)}
+        kept = tuple(self.recordings[i] for i in index) if self.recordings else ()
+        return Batch(**(held | chosen | {"recordings": kept}))
+
+    @property
+    def steps(self) -> int:
+        """Samples of the longest."""
+        return int(self.y.shape[1])
+
+    @property
+    def step(self) -> float:
+        """Usual seconds between samples, of the first recording."""
+        inside = self.time_of(0)
+        return float(np.median(np.diff(inside))) if len(inside) > 1 else 1.0
+
+    @property
+    def linear(self) -> bool:
+        """Whether models are linear."""
+        return "H" in (self.models.dtype.names or ())
+
+    def regimes(self) -> list[NDArray[np.int64]]:
+        """(T_i,) label of the true regime of each sample; an empty list where not known."""
+        if any(r.regime is None for r in self.recordings):
+            return []
+        return [r.regime for r in self.recordings]
+
+    def time_of(self, i: int) -> Array:
+        """(T_i,) s, the times of recording i."""
+        return self.time[i, : self.lengths[i]]
 
     def without_scales(self) -> Batch:
         """The same batch for a filter that must not know the true noise."""

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from navgym._checks import Array, one_of, within
 from navgym._tables import Table, read_table, write_table
-from navgym.models import LinearModel, Model, step_of
-from navgym.recording import Recording
+from navgym.models import LinearModel, step_of
+from navgym.recording import Model, Recording
 
 STATES = ("px", "vx", "py", "vy")
 ANNOTATIONS = ("regime", "process_scale", "measurement_scale")  # optional fields of Recording

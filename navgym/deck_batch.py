@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from navgym._checks import Array
 from navgym.dual_imu import DualIMURecording
 from navgym.filters.mechanization import tapes_of
+
+DECISION_SECONDS = 1.0  # per row of a parameter schedule, as in the environment
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +55,29 @@ class DeckBatch:
         index = np.asarray(which, dtype=np.int64)
         chosen = tuple(self.recordings[i] for i in index)
         return DeckBatch(chosen, self.tapes[index], self.lengths[index])
+
+    linear: ClassVar[bool] = True
+
+    @property
+    def steps(self) -> int:
+        """Filter steps of the longest."""
+        return int(self.tapes.shape[1])
+
+    @property
+    def decision_interval(self) -> int:
+        """Filter steps in a second: per row of a schedule, as in the environment."""
+        return max(1, round(DECISION_SECONDS / self.step))
+
+    def regimes(self) -> list[NDArray[np.int64]]:
+        """(K_i,) label of the true regime of each filter step; an empty list where not known."""
+        if any(r.regime is None for r in self.recordings):
+            return []
+        labels = np.nan_to_num(self.tapes["regime"]).astype(np.int64)
+        return [row[:length] for row, length in zip(labels, self.lengths, strict=True)]
+
+    def time_of(self, i: int) -> Array:
+        """(K_i,) s, when recording i's filter steps end."""
+        return self.recordings[i].step_time
 
     @property
     def step(self) -> float:

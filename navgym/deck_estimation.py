@@ -3,151 +3,127 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from navgym._checks import Array, one_of, positive_int
+from navgym._checks import Array
 from navgym.deck_batch import DeckBatch
 from navgym.dual_imu import DualIMURecording
+from navgym.estimation import Estimate
+from navgym.estimation import estimate as run_filter
 from navgym.filters.alignment import PHI, RATE, THETA, L
-from navgym.filters.catalogue import CATALOGUE, DECK_CATALOGUE, Filter
-from navgym.filters.deck import Identified, estimate
+from navgym.filters.deck import Identified
+from navgym.filters.deck import estimate as run_lanes
+from navgym.filters.mechanization import TAPE, coarse_alignment, write_tape
 from navgym.flexure import ARCMIN
-from navgym.increments import rodrigues
-from navgym.parameters import parameter_table
-from navgym.tuned import settled
+from navgym.increments import increments_of, rodrigues
+from navgym.problem import Filter, Run
 
-DECISION_SECONDS = 1.0  # per row of a parameter schedule, as in the environment
 UNOBSERVED = np.radians(0.5)  # standard deviation of an attitude that counts as not observed
 
 
-@dataclass(frozen=True, eq=False)
-class DeckEstimate:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DeckEstimate(Estimate):
     """What a deck filter made of one recording. K filter steps; angles in rad, main IMU's axes.
 
+    States and covariances are of l, δV, φ, ε, ∇, V_r, θ, θ̇ (IDAM eq. 73); innovations (K, 6) are
+    of velocity (m/s) and rate (rad/s), NaN where not used, NIS and likelihood under S before model
+    prediction.
+
     Args:
-        time: (K,) s.
         attitude: (K, 4) attitude of the sub in the main IMU's axes, quaternions, scalar last:
             C_s^m = C_im^m C_is^im (I + φ×) C_s^ŝ.
         static: (K, 3) rotation vector of the static deformation and mounting, Φ.
         theta: (K, 3) dynamic deformation.
         theta_rate: (K, 3) rad/s.
-        states: (K, 24) l, δV, φ, ε, ∇, V_r, θ, θ̇ (IDAM eq. 73).
-        covariances: (K, 24, 24) of the states.
-        innovations: (K, 6) velocity (m/s) and rate (rad/s); NaN where not used.
-        innovation_variance: (K, 6) diagonal of S = H P⁻ Hᵀ + R.
-        weights: (K, 6) of the correntropy criterion, 1 where it is off.
-        model_error: (K, 3) predicted error of the flexure's acceleration, rad/s².
-        nis: (K,) normalised innovation squared under S, before model prediction.
-        log_likelihood: (K,) of each innovation under S, before model prediction.
-        diverged: True after a numerical failure or once innovations have run away.
-        flexures: models identified on the way, with the step from which each holds.
         attitude_error: (K, 3) rotation vector from the reference attitude to the estimate, arcmin,
             or None without a reference.
         unobserved: (u, 3) directions (main axes at the start) about which the attitude has not
             been learnt: heading, where nothing moves.
     """
 
-    time: Array
     attitude: Array
     static: Array
     theta: Array
     theta_rate: Array
-    states: Array
-    covariances: Array
-    innovations: Array
-    innovation_variance: Array
-    weights: Array
-    model_error: Array
-    nis: Array
-    log_likelihood: Array
-    diverged: bool
-    flexures: tuple[Identified, ...]
     attitude_error: Array | None
     unobserved: Array
 
+    @property
+    def innovation_variance(self) -> Array:
+        """(K, 6) diagonal of S = H P⁻ Hᵀ + R."""
+        found: Array = self.extras["innovation_variance"]
+        return found
 
-def find_deck(filter_name: str | Filter) -> Filter:
-    """The deck catalogue's entry; ValueError with the nearest name if there is none."""
-    if isinstance(filter_name, Filter):  # a variant of one's own
-        return filter_name
-    if filter_name in CATALOGUE and filter_name not in DECK_CATALOGUE:
-        raise ValueError(
-            f"filter {filter_name!r} is for single recordings, and this one is of two IMUs: use one "
-            f"of {', '.join(DECK_CATALOGUE)}."
-        )
-    return DECK_CATALOGUE[one_of("deck filter", filter_name, DECK_CATALOGUE)]
+    @property
+    def weights(self) -> Array:
+        """(K, 6) of the correntropy criterion, 1 where it is off."""
+        found: Array = self.extras["weights"]
+        return found
+
+    @property
+    def model_error(self) -> Array:
+        """(K, 3) predicted error of the flexure's acceleration, rad/s²."""
+        found: Array = self.extras["model_error"]
+        return found
+
+    @property
+    def flexures(self) -> tuple[Identified, ...]:
+        """Models identified on the way, with the step from which each holds."""
+        return tuple(self.extras["flexures"])
 
 
-def run_deck(
-    filter_name: str | Filter,
-    batch: DeckBatch,
-    parameters: Any = None,
-    decision_interval: int | None = None,
-    everything: bool = False,
-) -> dict[str, Any]:
-    """Run one deck filter over a batch: arrays (N, K, ...), see `navgym.filters.deck.estimate`."""
-    chosen = find_deck(filter_name)
+def run(chosen: Filter, batch: DeckBatch, table: Array, interval: int, everything: bool) -> Run:
+    """Run one deck filter over a batch; see `navgym.problem.Problem.run`."""
     if chosen.needs_scales and any(
         r.true_flexure is None or r.impulse_variance is None or r.disturbance_variance is None
         for r in batch.recordings
     ):
         raise ValueError(
-            f"filter {filter_name!r} needs the true flexure and noises, which only simulated "
+            f"filter {chosen.name!r} needs the true flexure and noises, which only simulated "
             "recordings carry: use alignment or idam."
         )
-    usual = max(1, round(DECISION_SECONDS / batch.step))
-    interval = usual if decision_interval is None else decision_interval
-    positive_int("decision_interval", interval)
-    steps = batch.tapes.shape[1]
-    given = settled(parameters, chosen.name)
-    table = parameter_table(chosen.space, given, len(batch), steps, interval)
-    return estimate(chosen, batch, table, interval, everything)
+    found = run_lanes(chosen, batch, table, interval, everything)
+    report = found["report"]
+    return Run(
+        states=found["states"],
+        diverged=found["diverged"],
+        covariances=found["covariances"],
+        innovations=report["innovation"],
+        nis=report["nis"],
+        log_likelihood=report["log_likelihood"],
+        components=np.isfinite(report["innovation"]).sum(axis=-1),
+        extras={name: report[name] for name in ("weights", "model_error", "innovation_variance")}
+        | {"flexures": found["flexures"]},
+    )
 
 
-def estimate_deck(
-    filter_name: str,
-    recording: DualIMURecording,
-    parameters: Mapping[str, Any] | Any = None,
-    decision_interval: int | None = None,
-) -> DeckEstimate:
-    """Run one deck filter over one recording; see `navgym.estimate`.
+def estimate(chosen: Filter, batch: DeckBatch, run: Run) -> DeckEstimate:
+    """What a filter made of a batch's only recording.
 
     Warns (UserWarning) where the attitude cannot be observed, and where samples were filled in.
     """
-    batch = DeckBatch.of([recording])
-    found = run_deck(filter_name, batch, parameters, decision_interval, everything=True)
-    states, report = found["states"][0], found["report"][0]
+    recording, states = batch.recordings[0], run.states[0]
     attitude, static = attitudes(batch.tapes[0], states)
     reference = recording.reference
-    unobserved = _unobserved(found["covariances"][0])
+    unobserved = _unobserved(run.covariances[0])
     _warn(recording, unobserved)
-    if find_deck(filter_name).option.method is not None and not found["flexures"][0]:
+    if chosen.option.method is not None and not run.extras["flexures"][0]:
         warnings.warn(
-            f"{filter_name} has identified nothing in this recording of {recording.steps * recording.step:.0f} s: "
+            f"{chosen.name} has identified nothing in this recording of {recording.steps * recording.step:.0f} s: "
             "it is shorter than identification_window, or its increments show no flexure.",
-            stacklevel=3,
+            stacklevel=4,
         )
-    return DeckEstimate(
-        time=recording.step_time,
+    return DeckEstimate.of(
+        run,
+        batch.time_of(0),
         attitude=attitude,
         static=static,
         theta=states[:, THETA],
         theta_rate=states[:, RATE],
-        states=states,
-        covariances=found["covariances"][0],
-        innovations=report["innovation"],
-        weights=report["weights"],
-        model_error=report["model_error"],
-        nis=report["nis"],
-        log_likelihood=report["log_likelihood"],
-        innovation_variance=report["innovation_variance"],
-        diverged=bool(found["diverged"][0]),
-        flexures=tuple(found["flexures"][0]),
         attitude_error=None
         if reference is None
         else attitude_error(attitude, recording.at_steps(reference)),
@@ -199,12 +175,43 @@ def _warn(recording: DualIMURecording, unobserved: Array) -> None:
         warnings.warn(
             f"the attitude about ({x:.2f}, {y:.2f}, {z:.2f}) (main IMU's axes at the start) cannot be "
             "observed in this recording and is known to some degrees only. It takes motion about other axes.",
-            stacklevel=4,
+            stacklevel=5,
         )
     filled = int(recording.gaps.sum())
     if filled:
         warnings.warn(
             f"{filled} of {len(recording)} IMU samples are missing and were filled in: the filter "
             "widened its covariance there and did not use the rates of those steps.",
-            stacklevel=4,
+            stacklevel=5,
         )
+
+
+def flexure_increments(
+    recording: DualIMURecording, alignment: Rotation | None = None, frame: str = "inertial"
+) -> Array:
+    """Increments of θ over each filter step, (K - 1, 3) rad, in the main IMU's axes.
+
+    Args:
+        recording: of both IMUs.
+        alignment: attitude of the sub in the main IMU's axes at the start, Ĉ_is^im; by default the
+            one that the `alignment` filter arrives at over the recording.
+        frame: "inertial" differences C_s^m = C_im^m Ĉ_is^im C_s^is; "body" is the printed form
+            (IDAM eq. 13-16), which leaves δΘ × θ in and locks on to the sway.
+
+    Returns:
+        Increments; NaN in steps with samples that were not received. An increment spans
+        `recording.step` seconds.
+    """
+    tape = np.zeros(recording.steps, TAPE)
+    write_tape(recording, tape)
+    if alignment is None:
+        alignment = final_alignment(recording)
+    return increments_of(tape, alignment, frame)
+
+
+def final_alignment(recording: DualIMURecording) -> Rotation:
+    """Ĉ_is^im at the end of a run of `alignment` from the coarse alignment on."""
+    states = run_filter("alignment", recording).states
+    return (
+        rodrigues(states[-1, L]) if np.isfinite(states[-1]).all() else coarse_alignment(recording)
+    )

@@ -9,43 +9,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from navgym._checks import Array, one_of
-from navgym.dual_imu import DualIMURecording
-from navgym.filters.mechanization import TAPE, coarse_alignment, write_tape
 
 FRAMES = ("inertial", "body")
-
-
-def flexure_increments(
-    recording: DualIMURecording, alignment: Rotation | None = None, frame: str = "inertial"
-) -> Array:
-    """Increments of θ over each filter step, (K - 1, 3) rad, in the main IMU's axes.
-
-    Args:
-        recording: of both IMUs.
-        alignment: attitude of the sub in the main IMU's axes at the start, Ĉ_is^im; by default the
-            one that the `alignment` filter arrives at over the recording.
-        frame: "inertial" differences C_s^m = C_im^m Ĉ_is^im C_s^is; "body" is the printed form
-            (IDAM eq. 13-16), which leaves δΘ × θ in and locks on to the sway.
-
-    Returns:
-        Increments; NaN in steps with samples that were not received. An increment spans
-        `recording.step` seconds.
-    """
-    tape = np.zeros(recording.steps, TAPE)
-    write_tape(recording, tape)
-    if alignment is None:
-        alignment = final_alignment(recording)
-    return increments_of(tape, alignment, frame)
-
-
-def final_alignment(recording: DualIMURecording) -> Rotation:
-    """Ĉ_is^im at the end of a run of `alignment` from the coarse alignment on."""
-    from navgym.deck_estimation import estimate_deck
-
-    states = estimate_deck("alignment", recording).states
-    return (
-        rodrigues(states[-1, :3]) if np.isfinite(states[-1]).all() else coarse_alignment(recording)
-    )
 
 
 def rodrigues(l: Array) -> Rotation:  # noqa: E741

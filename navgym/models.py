@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import operator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navgym._checks import Array, covariance, one_of, real_array
+from navgym._checks import Array, covariance, real_array
 from navgym._frozen import Frozen
-
-if TYPE_CHECKING:
-    from navgym.turn_model import CoordinatedTurnModel
 
 TABLE_2_Q = 1e-3 * np.diag([1.0, 0.5, 1.0, 0.5])  # QIVBF table 2
 
@@ -167,21 +164,6 @@ class LinearModel(Frozen):
         fields = {name: getattr(self, name) for name in names}
         known = {name: np.asarray(value) for name, value in fields.items() if value is not None}
         return {"kind": np.array("linear")} | known
-
-
-Model: TypeAlias = "LinearModel | CoordinatedTurnModel"
-
-
-def model_from_arrays(arrays: dict[str, NDArray[Any]]) -> Model:
-    """The model that `arrays()` described; ValueError for a kind that this navgym lacks."""
-    from navgym.turn_model import CoordinatedTurnModel
-
-    kinds: dict[str, type[LinearModel | CoordinatedTurnModel]] = {
-        "linear": LinearModel,
-        "coordinated-turn": CoordinatedTurnModel,
-    }
-    kind = one_of("model kind", str(arrays["kind"]), kinds)
-    return kinds[kind](**{name: value for name, value in arrays.items() if name != "kind"})
 
 
 def record(n: int, m: int) -> np.dtype[Any]:

@@ -6,15 +6,20 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navgym import _storage
-from navgym._checks import Array, real_array, shaped
+from navgym._checks import Array, one_of, real_array, shaped
 from navgym._frozen import Frozen
-from navgym.models import LinearModel, Model, model_from_arrays, step_of
+from navgym.models import LinearModel, step_of
+from navgym.turn_model import CoordinatedTurnModel
+
+Model: TypeAlias = LinearModel | CoordinatedTurnModel
+# by the word that a model's arrays hold
+KINDS: Mapping[str, type[Model]] = {"linear": LinearModel, "coordinated-turn": CoordinatedTurnModel}
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,3 +177,9 @@ def _check_model(model: Model, shape: tuple[int, ...], steps: int) -> None:
         raise ValueError(
             f"the model changes over {model.steps} samples, the recording has {steps}."
         )
+
+
+def model_from_arrays(arrays: dict[str, NDArray[Any]]) -> Model:
+    """The model that `arrays()` described; ValueError for a kind that this navgym lacks."""
+    kind = one_of("model kind", str(arrays["kind"]), KINDS)
+    return KINDS[kind](**{name: value for name, value in arrays.items() if name != "kind"})

@@ -13,8 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from navgym._checks import one_of
-from navgym.filters.catalogue import CATALOGUE, DECK_CATALOGUE
+from navgym.problem import problems_with
 
 
 @dataclass(frozen=True)
@@ -58,10 +57,17 @@ def read_tuned(path: str | os.PathLike[str]) -> Tuned:
 
 
 def _check(filter_name: Any, parameters: Mapping[str, Any]) -> None:
-    both = [c[filter_name] for c in (CATALOGUE, DECK_CATALOGUE) if filter_name in c]
-    if not both:
-        one_of("filter", filter_name, {**CATALOGUE, **DECK_CATALOGUE})
-    both[0].space.array(parameters)
+    """ValueError unless some problem's filter of that name takes the parameters."""
+    wrong = None
+    for problem in problems_with(filter_name):
+        try:
+            problem.filters[filter_name].space.array(parameters)
+        except ValueError as error:
+            wrong = wrong or error
+        else:
+            return
+    if wrong is not None:
+        raise wrong
 
 
 def settled(parameters: Any, filter_name: str) -> Any:

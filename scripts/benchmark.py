@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from tuning.benchmarks.timing import Row
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-TITLES = {"auv": "the AUV half", "deck": "the deck half", "agents": "agents", "studies": "studies"}
+TITLES = {"auv": "the AUV", "deck": "the deck", "agents": "agents", "studies": "studies"}
 
 
 def main() -> None:
@@ -29,17 +29,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("half", choices=list(TITLES), help="what to measure")
+    parser.add_argument("part", choices=list(TITLES), help="what to measure")
     parser.add_argument("--rounds", type=int, default=7, help="turns per pair (default: 7)")
-    parser.add_argument("--write", action="store_true", help="write docs/benchmarks-HALF.md")
+    parser.add_argument("--write", action="store_true", help="write docs/benchmarks-PART.md")
     options = parser.parse_args()
     from tuning.benchmarks.timing import as_markdown
 
-    rows = _part(options.half)(options.rounds)
-    text = as_markdown(options.half, TITLES[options.half], rows)
+    rows = _part(options.part)(options.rounds)
+    text = as_markdown(options.part, TITLES[options.part], rows)
     print(text)
     if options.write:
-        (DOCS / f"benchmarks-{options.half}.md").write_text(text)
+        (DOCS / f"benchmarks-{options.part}.md").write_text(text)
 
 
 def _part(name: str) -> Callable[[int], list[Row]]:

@@ -10,14 +10,13 @@ import argparse
 import inspect
 import sys
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 
 from agents.configuration import markdown as configuration_table
-from navgym.filters.catalogue import CATALOGUE as CATALOGUE_OF_FILTERS
-from navgym.filters.catalogue import DECK_CATALOGUE as DECK_FILTERS
-from navgym.filters.catalogue import Filter
-from navgym.scenarios import CATALOGUE, DECK_CATALOGUE, SHIFTS
+from navgym.problem import Filter, Problem, environments, problems
+from navgym.simulation import find_scenario
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 NOTE = "<!-- Written by scripts/build_docs.py: edit the code, not this page. -->\n\n"
@@ -33,12 +32,12 @@ def filters_page() -> str:
     """Every filter with its tunables."""
     parts = [
         NOTE + "# Filters\n",
-        "`navgym.estimate(name, recording, parameters)` runs any of these; the numbers below are "
-        "what `navgym.parameter_space(name)` holds. The second half takes recordings of two IMUs.\n",
+        "`navgym.estimate(name, recording, parameters)` runs any of these on a recording of its problem; "
+        "the numbers below are what `navgym.parameter_space(name)` holds.\n",
     ]
-    parts += [_filter_part(f) for f in CATALOGUE_OF_FILTERS.values()]
-    parts.append("# Filters of the deck\n")
-    parts += [_filter_part(f) for f in DECK_FILTERS.values()]
+    for problem in problems():
+        parts.append(f"# {problem.title}: filters of a `{problem.recording.__name__}`\n")
+        parts += [_filter_part(f) for f in problem.filters.values()]
     return "\n".join(parts)
 
 
@@ -52,36 +51,67 @@ def scenarios_page() -> str:
     parts = [
         NOTE + "# Scenarios\n",
         "`navgym.simulate(name, seed=..., **overrides)` makes a recording; any field can be "
-        "overridden.\n",
-        "| scenario | what happens | samples | regimes |",
-        "|---|---|---|---|",
+        "overridden.",
     ]
-    parts += [
-        f"| `auv/{s.name}` | {s.summary} | {s.steps} | {', '.join(r.name for r in s.regimes)} |"
-        for s in CATALOGUE.values()
-    ]
-    parts += [
-        "\n## Deck\n",
-        "A `DualIMURecording`; times in seconds, dwell being the time in a regime.\n",
-        "| scenario | what happens | duration | regimes | dwell |",
-        "|---|---|---|---|---|",
-    ]
-    parts += [
-        f"| `deck/{s.name}` | {s.summary} | {s.duration:g} | {', '.join(r.name for r in s.regimes)} | "
-        f"{s.dwell[0]:g} |"
-        for s in DECK_CATALOGUE.values()
-    ]
-    parts += [
-        "\n## Shifts\n",
-        "Conditions that nothing was tuned on.\n",
-        "| shift | overrides |",
-        "|---|---|",
-    ]
-    parts += [
-        f"| {name} | {', '.join(f'`{k}={v:g}`' if isinstance(v, float) else f'`{k}={v}`' for k, v in o.items())} |"
-        for name, o in SHIFTS.items()
-    ]
+    for problem in problems():
+        parts += ["", *_scenarios_part(problem), "", *_shifts_part(problem)]
     return "\n".join(parts) + "\n"
+
+
+def _scenarios_part(problem: Problem) -> list[str]:
+    """The problem's scenarios, with what makes them long, and their regimes."""
+    lengths = list(problem.brief)
+    head = ["scenario", "what happens", *lengths, "regimes", "dwell"]
+    rows = [
+        [
+            f"`{problem.full_name(s)}`",
+            s.summary,
+            *(f"{getattr(s, name):g}" for name in lengths),
+            ", ".join(r.name for r in getattr(s, "regimes", ())),
+            _dwell(s),
+        ]
+        for s in problem.scenarios.values()
+    ]
+    what = (
+        f"Each makes a `{problem.recording.__name__}`; dwell is the time spent in a regime, in the unit of "
+        f"{' and '.join(lengths)}."
+    )
+    return [f"## {problem.title}\n", f"{what}\n", *_table(head, rows)]
+
+
+def _dwell(scenario: Any) -> str:
+    """Least and largest time in a regime, where there are several."""
+    if len(getattr(scenario, "regimes", ())) < 2:
+        return ""
+    return "-".join(dict.fromkeys(f"{end:g}" for end in scenario.dwell))
+
+
+def _shifts_part(problem: Problem) -> list[str]:
+    """What a study's usual scenario is changed to."""
+    name = problem.study.scenario
+    rows = [
+        [shift, ", ".join(f"`{k}={_value(v)}`" for k, v in overrides.items())]
+        for shift, overrides in problem.contest.shifts(find_scenario(name)).items()
+    ]
+    title = f"### Shifts: {problem.title}\n"
+    return [
+        title,
+        f"Conditions that nothing was tuned on, of `{name}`.\n",
+        *_table(["shift", "overrides"], rows),
+    ]
+
+
+def _value(value: Any) -> str:
+    """A number or a few; what takes more room is left out."""
+    if isinstance(value, float):
+        return f"{value:g}"
+    text = str(value)
+    return text if len(text) < 30 else "…"
+
+
+def _table(head: list[str], rows: list[list[str]]) -> list[str]:
+    body = [f"| {' | '.join(row)} |" for row in rows]
+    return [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}", *body]
 
 
 def training_page() -> str:
@@ -98,11 +128,8 @@ def pages() -> dict[Path, str]:
     """Every page by its path."""
     found = {DOCS / "filters.md": filters_page(), DOCS / "scenarios.md": scenarios_page()}
     found[DOCS / "training.md"] = training_page()
-    for name in sorted(gymnasium.registry):
-        if name.startswith("navgym/"):
-            found[DOCS / "environments" / f"{name.removeprefix('navgym/')}.md"] = environment_page(
-                name
-            )
+    for name in sorted(environments()):
+        found[DOCS / "environments" / f"{name.partition('/')[2]}.md"] = environment_page(name)
     return found
 
 

@@ -22,9 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from navgym.estimation import parameter_space
+from navgym.auv.problem import PROBLEM
 from navgym.models import LinearModel
-from navgym.scenarios import CATALOGUE
 from tuning.cases import Cases
 from tuning.objective import GeometricMean, Guarded, Objective
 from tuning.report import write_json
@@ -57,7 +56,9 @@ FIRST = tuple(
 
 def scenarios() -> list[str]:
     """Names of the scenarios that the filter can run on."""
-    return [f"auv/{s.name}" for s in CATALOGUE.values() if isinstance(s.model, LinearModel)]
+    return [
+        PROBLEM.full_name(s) for s in PROBLEM.scenarios.values() if isinstance(s.model, LinearModel)
+    ]
 
 
 def mean_error(filter_name: str, values: Any, cases: Cases) -> float:
@@ -145,7 +146,7 @@ def main() -> None:
     chosen = [options.part] if options.part else list(parts)
     for part in chosen:
         write_json(options.out / f"{part}.json", parts[part](options))
-    assert set(SWEEPS) <= set(parameter_space(FILTER).names)
+    assert set(SWEEPS) <= set(PROBLEM.find(FILTER).space.names)
 
 
 if __name__ == "__main__":

@@ -70,7 +70,7 @@ def show(options: argparse.Namespace, size: object, began: float) -> int:
     """Run, write the page and the results, print the table and the path."""
     from tuning import demo, report
 
-    assert isinstance(size, demo.Size)
+    assert isinstance(size, demo.DemoAmount)
     folder = options.data or (BESIDE if BESIDE.is_dir() else None)
     data = f"A-KIT, {options.data or '../shared/data/akit'}" if folder else "simulated stand-in"
     print(f"tracks: {data}")

@@ -36,13 +36,11 @@ def main() -> int:
     from tuning import headroom
     from tuning.executors import workers
 
-    sizes = headroom.QUICK if options.quick else headroom.FULL
     found = []
     try:
         with workers(options.workers) as executor:
             for name in options.scenario or USUAL:
-                size = sizes[name.partition("/")[0] if name.startswith("deck/") else "auv"]
-                one = headroom.headroom(name, size, options.seed, options.out, executor)
+                one = headroom.headroom(name, options.seed, options.out, executor, options.quick)
                 found.append(one)
                 print(f"\n{headroom.summary(one)}\n")
         path = headroom.write(found, options.out, sampler_seed=options.seed)

@@ -33,12 +33,12 @@ BESIDE = SHARED / "akit"
 
 
 def parse() -> argparse.Namespace:
-    """The command line: one subcommand per half."""
+    """The command line: one subcommand per paper."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    halves = parser.add_subparsers(dest="half", required=True, metavar="half")
-    add = halves.add_parser("auv", help="lost measurements in AUV navigation").add_argument
+    papers = parser.add_subparsers(dest="paper", required=True, metavar="paper")
+    add = papers.add_parser("auv", help="lost measurements in AUV navigation").add_argument
     add("--runs", type=int, help="test recordings per figure (default: 300)")
     add("--trials", type=int, help="per study (default: 200)")
     add("--seed", type=int, default=0, help="of the studies' samplers (default: %(default)s)")
@@ -48,7 +48,7 @@ def parse() -> argparse.Namespace:
         "(default: ../shared/data/akit beside the repository, if it is there)",
     )  # fmt: skip
     add("--quick", action="store_true", help="a few recordings and trials, only to see it run")
-    add = halves.add_parser("deck", help="attitude and deformation of a ship's deck").add_argument
+    add = papers.add_parser("deck", help="attitude and deformation of a ship's deck").add_argument
     add("--runs", type=int, help="paired test recordings per figure (default: 60)")
     add("--out", type=Path, default=Path("runs/reproduce"), help="folder (default: %(default)s)")
     add(
@@ -60,7 +60,7 @@ def parse() -> argparse.Namespace:
 
 
 def deck(options: argparse.Namespace) -> int:
-    """Reproduce the deck half."""
+    """Reproduce the deck figures."""
     from tuning import deck_reproduction, report, reproduction
 
     began = time.perf_counter()
@@ -96,7 +96,7 @@ def shown(parts: Iterable[Any]) -> list[Any]:
 
 
 def auv(options: argparse.Namespace) -> int:
-    """Reproduce the AUV half."""
+    """Reproduce the AUV figures."""
     from tuning import report, reproduction
 
     began = time.perf_counter()
@@ -116,14 +116,14 @@ def auv(options: argparse.Namespace) -> int:
     return 0
 
 
-HALVES: dict[str, Callable[[argparse.Namespace], int]] = {"auv": auv, "deck": deck}
+PAPERS: dict[str, Callable[[argparse.Namespace], int]] = {"auv": auv, "deck": deck}
 
 
 def main() -> int:
     """Parse the command line and run; returns the exit status."""
     options = parse()
     try:
-        return HALVES[options.half](options)
+        return PAPERS[options.paper](options)
     except KeyboardInterrupt:
         print(f"\nstopped; finished trials are kept in {options.out}: the same command goes on")
         return 130

@@ -28,11 +28,11 @@ import time
 def main() -> int:
     """Tune and report; returns the exit status."""
     from tuning import command, tune, tune_report
-    from tuning.settings import Settings
+    from tuning.settings import StudySettings
 
     began = time.perf_counter()
     try:
-        settings = command.parse(Settings, __doc__)
+        settings = command.parse(StudySettings, __doc__)
         found = tune.run(settings)
         tune_report.write(found)
         print(f"\n{tune_report.summary(found)}\n{time.perf_counter() - began:.0f} s in all")

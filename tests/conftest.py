@@ -5,6 +5,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+import tests.toy  # noqa: F401 - a third problem, which every test of all problems includes
+
 # the same examples on every run and machine; kernels compile inside the first one
 settings.register_profile("repeatable", deadline=None, max_examples=25, derandomize=True)
 settings.register_profile("thorough", deadline=None, max_examples=1000)  # --hypothesis-profile

@@ -16,12 +16,12 @@ from numpy.lib.recfunctions import structured_to_unstructured
 
 import navgym
 import navgym.identification
+from navgym.auv.live import LiveAUV
+from navgym.auv.settings import AUVDropoutSettings
 from navgym.batch import Batch
+from navgym.deck.settings import DeckDeformationSettings
 from navgym.envs.actions import fill_rows
-from navgym.envs.deck_engine import DeckSettings
 from navgym.envs.deck_live import LiveDeck
-from navgym.envs.engine import Settings
-from navgym.envs.live import LiveAUV
 from navgym.filters import alignment, bank, combiner
 from tests.filters.deck_lanes import outputs_for, prepare, rule_of, run_alignment
 from tests.helpers import NAMES
@@ -165,7 +165,7 @@ def environments():
 def live_auv():
     """The AUV's live lane."""
     recording = navgym.simulate("auv/switch-D", seed=4, steps=6, loss=0.3)
-    lane = LiveAUV(Settings(), {}, recording.model)
+    lane = LiveAUV(AUVDropoutSettings(), {}, recording.model)
     seen = []
     for y, lost in zip(recording.measurements, recording.lost, strict=True):
         lane.put(np.where(lost, np.nan, y))
@@ -177,7 +177,7 @@ def live_auv():
 def live_deck():
     """The deck's live lane."""
     r = navgym.simulate("deck/paper", seed=4, duration=0.3)
-    lane = LiveDeck(DeckSettings(), {}, r.model, r.interval)
+    lane = LiveDeck(DeckDeformationSettings(), {}, r.model, r.interval)
     seen = []
     for sample in zip(r.main_angle, r.main_velocity, r.sub_angle, r.sub_velocity, strict=True):
         lane.put(sample)

@@ -9,10 +9,19 @@ from hypothesis.extra import numpy as hnp
 import navgym
 from navgym.batch import Batch, outputs
 from navgym.filters import bank
+from navgym.problem import PROBLEMS
 
 SIZES = ((1, 1), (2, 1), (4, 4), (8, 3))  # every (n, m) costs seconds of compilation once
 STEPS = 12
 NAMES = ("states", "covariances", "innovations", "nis", "log_likelihood")
+
+run = PROBLEMS["auv"].run
+run_deck = PROBLEMS["deck"].run
+
+
+def lane(found, i, length=None):
+    """Recording i of a `Run`, by name."""
+    return {name: getattr(found, name)[i, :length] for name in NAMES}
 
 
 @dataclass(frozen=True)

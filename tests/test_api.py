@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 import navgym
+from navgym.problem import problems_with
 
 CLASSES = {
     "Recording": ("time", "measurements", "lost", "truth", "regime", "model", "meta"),
     "LinearModel": ("F", "dt", "H", "Q", "R", "x0", "P0"),
-    "Estimate": ("states", "covariances", "innovations", "nis", "diverged"),
+    "Estimate": ("time", "states", "covariances", "innovations", "nis", "diverged"),
     "DualIMURecording": (
         "time", "main_angle", "main_velocity", "sub_angle", "sub_velocity", "model", "theta",
         "theta_rate", "static", "attitude", "regime", "meta",
@@ -49,10 +50,15 @@ FILTERS = (
 @pytest.mark.parametrize("name", CLASSES)
 def test_classes_have_their_documented_fields(name):
     kind = getattr(navgym, name)
-    assert set(CLASSES[name]) <= {f.name for f in fields(kind)}
+    manual = "".join(base.__doc__ or "" for base in kind.__mro__)
     for field in CLASSES[name]:
+        own = getattr(kind, field, None)
+        if isinstance(own, property):
+            assert own.__doc__, f"{name}.{field} is not documented"
+            continue
+        assert field in {f.name for f in fields(kind)}
         if name != "ParameterSpace":
-            assert f"{field}:" in kind.__doc__, f"{name}.{field} is not documented"
+            assert f"{field}:" in manual, f"{name}.{field} is not documented"
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
@@ -89,7 +95,8 @@ def test_unknown_names_are_attribute_errors():
 @pytest.mark.parametrize("name", FILTERS)
 def test_every_promised_filter_is_listed_with_a_line(name):
     assert len(navgym.filters()[name]) > 10
-    assert navgym.parameter_space(name) is not None
+    for problem in problems_with(name):
+        assert navgym.parameter_space(name, problem) is not None
 
 
 def test_recordings_save_and_load_by_method():

@@ -8,11 +8,11 @@ from scipy.spatial.transform import Rotation
 
 import navgym
 from navgym.deck_batch import DeckBatch
-from navgym.deck_estimation import run_deck
 from navgym.filters.alignment import FLEXING, THETA
 from navgym.flexure import ARCMIN
 from navgym.metrics.deck import NAMES, UNITS, deck_errors, moving_mean
 from navgym.simulation import simulate_many
+from tests.helpers import run_deck
 
 
 @pytest.fixture(scope="module")
@@ -147,7 +147,7 @@ def test_the_moving_mean_is_centred_and_leaves_constants():
 
 def test_the_filters_own_errors_are_as_large_as_expected(batch):
     """SCIENCE B2: attitude below an arcminute or two, θ limited by the split."""
-    found = deck_errors(batch, run_deck("alignment", batch)["states"])
+    found = deck_errors(batch, run_deck("alignment", batch).states)
     assert found.norm["attitude"].max() < 3.0
     assert 0.5 < found.norm["theta"].mean() < 12.0
     assert (found.norm["theta_ac"] < found.norm["theta"]).all()

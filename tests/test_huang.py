@@ -18,7 +18,7 @@ import pytest
 
 from navgym import LinearModel, Recording, metrics
 from navgym.batch import Batch
-from navgym.estimation import run
+from tests.helpers import run
 
 STEPS, RUNS = 1000, 200
 POSITION, VELOCITY = (0, 1), (2, 3)
@@ -75,9 +75,9 @@ def estimates():
 
     exact, nominal = batch(model(Q, R)), batch(model(np.eye(4), 100.0 * I2))
     return {
-        "true": run("kf", exact)["states"],
-        "nominal": run("kf", nominal)["states"],
-        "vbakf": run("vbakf", nominal, FILTER)["states"],
+        "true": run("kf", exact).states,
+        "nominal": run("kf", nominal).states,
+        "vbakf": run("vbakf", nominal, FILTER).states,
         "truth": exact.truth,
     }
 
@@ -117,7 +117,7 @@ def test_the_adaptive_filter_lies_between_the_nominal_and_the_true_one(estimates
 def test_the_true_filter_reaches_its_own_covariance():
     """Riccati 3.698 m, 3.837 m/s, from the filter's covariances: no random numbers enter."""
     recording = Recording(np.arange(1.0, STEPS + 1), np.zeros((STEPS, 2)), model=model(*noise()))
-    P = run("kf", Batch.of([recording]), everything=True)["covariances"][0]
+    P = run("kf", Batch.of([recording]), everything=True).covariances[0]
     for indices, expected in ((POSITION, 3.698), (VELOCITY, 3.837)):
         rms = np.sqrt(np.diagonal(P, axis1=1, axis2=2)[:, indices].sum(axis=1)).mean()
         assert rms == pytest.approx(expected, abs=5e-4)

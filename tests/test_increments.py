@@ -7,8 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import navgym
+from navgym.deck_estimation import final_alignment, flexure_increments
 from navgym.flexure import ARCMIN
-from navgym.increments import final_alignment, flexure_increments, increments_of, rodrigues
+from navgym.increments import increments_of, rodrigues
 from navgym.inertial.imu import NO_ERRORS
 from tests.filters.deck_lanes import prepare
 

@@ -10,8 +10,8 @@ from scipy import stats
 import navgym
 from navgym import metrics
 from navgym.batch import Batch
-from navgym.estimation import run
 from navgym.simulation import simulate_many
+from tests.helpers import run
 
 # --- errors ---------------------------------------------------------------------------------------
 
@@ -154,7 +154,7 @@ def matched():
 
 def test_nees_of_the_matched_filter_is_chi_square_at_each_time(matched):
     batch, found = matched
-    nees = metrics.nees(found["states"], found["covariances"], batch.truth)
+    nees = metrics.nees(found.states, found.covariances, batch.truth)
     low, high = metrics.nis_band(4.0 * len(nees), confidence=0.95)
     inside = (low < nees.sum(axis=0)) & (nees.sum(axis=0) < high)
     assert 0.88 < inside.mean() <= 1.0
@@ -166,14 +166,14 @@ def test_nees_of_the_matched_filter_is_chi_square_at_each_time(matched):
 
 def test_position_nees_is_chi_square_with_two_degrees(matched):
     batch, found = matched
-    nees = metrics.nees(found["states"], found["covariances"], batch.truth, indices=(0, 2))
+    nees = metrics.nees(found.states, found.covariances, batch.truth, indices=(0, 2))
     assert metrics.consistency(nees[:, -1], 2, confidence=0.99).consistent
 
 
 @pytest.mark.parametrize("scenario", ["nominal", "component-loss", "position-only"])
 def test_nis_of_the_matched_filter_is_chi_square_in_what_was_received(scenario):
     batch = Batch.of(simulate_many(f"auv/{scenario}", navgym.seeds("test", 100), steps=200))
-    nis = run("kf", batch, everything=True)["nis"]
+    nis = run("kf", batch, everything=True).nis
     dof = metrics.degrees_of_freedom(batch.lost)
     assert np.array_equal(np.isnan(nis), dof == 0)
     found = metrics.consistency(nis, dof, confidence=0.99)
@@ -186,8 +186,8 @@ def test_nis_of_the_matched_filter_is_chi_square_in_what_was_received(scenario):
 
 def test_a_wrong_measurement_noise_is_found_out(matched):
     batch, _ = matched
-    bold = run("kf", batch, {"measurement_noise_scale": 0.7}, everything=True)["nis"]
-    timid = run("kf", batch, {"measurement_noise_scale": 1.5}, everything=True)["nis"]
+    bold = run("kf", batch, {"measurement_noise_scale": 0.7}, everything=True).nis
+    timid = run("kf", batch, {"measurement_noise_scale": 1.5}, everything=True).nis
     dof = metrics.degrees_of_freedom(batch.lost)
     bold, timid = (metrics.consistency(nis, dof) for nis in (bold, timid))
     assert bold.mean > bold.high
@@ -223,7 +223,7 @@ def test_the_filter_settles_on_the_riccati_limit():
 
 def test_errors_of_the_filter_reach_the_riccati_limit():
     batch = Batch.of(simulate_many("auv/nominal", navgym.seeds("test", 200), steps=300, loss=0.0))
-    squared = metrics.squared_error(run("kf", batch)["states"], batch.truth, (0, 2))[:, 100:]
+    squared = metrics.squared_error(run("kf", batch).states, batch.truth, (0, 2))[:, 100:]
     limit = metrics.rms(metrics.steady_state(navgym.LinearModel()).filtered, (0, 2))
     assert metrics.summarize(squared).pooled == pytest.approx(limit, rel=0.02)
 
@@ -268,7 +268,7 @@ def test_mean_covariance_of_the_filter_lies_between_the_bounds(rate):
         navgym.Recording(np.arange(1000.0), np.zeros((1000, 1)), lost=~a, model=model)
         for a in arrived
     ]
-    filtered = run("kf", Batch.of(recordings), everything=True)["covariances"][:, 50:, 0, 0]
+    filtered = run("kf", Batch.of(recordings), everything=True).covariances[:, 50:, 0, 0]
     mean = (1.25**2 * filtered + 1.0).mean()
     bounds = metrics.loss_bounds(model, rate)
     assert bounds.lower.item() < mean < bounds.upper.item() + 1e-9

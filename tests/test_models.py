@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from navgym import CoordinatedTurnModel, LinearModel
-from navgym.models import constant_velocity, model_from_arrays
+from navgym.models import constant_velocity
+from navgym.recording import model_from_arrays
 
 NAN = np.nan
 

@@ -6,9 +6,10 @@ import pytest
 
 import navgym
 from navgym.batch import Batch
-from navgym.estimation import CATALOGUE, run
 from navgym.filters import nonlinear
+from navgym.filters.catalogue import CATALOGUE
 from navgym.turn_model import DEGREE, RECORD
+from tests.helpers import run
 from tests.twins import nonlinear as twin
 
 FILTERS = ("ekf", "ukf", "ckf", "cukf")
@@ -240,10 +241,10 @@ def test_landing_on_the_beacon_is_flagged_and_leaves_the_neighbours_exact():
     doomed = navgym.Recording([1.0, 2.0], np.ones((2, 4)), model=model)
     healthy = turn_recording(navgym.CoordinatedTurnModel(), 2)
     together = run("ekf", Batch.of([healthy, doomed, healthy]))
-    assert together["diverged"].tolist() == [False, True, False]
-    assert np.isnan(together["states"][1]).all()
+    assert together.diverged.tolist() == [False, True, False]
+    assert np.isnan(together.states[1]).all()
     for i in (0, 2):
-        assert (together["states"][i] == navgym.estimate("ekf", healthy).states).all()
+        assert (together.states[i] == navgym.estimate("ekf", healthy).states).all()
 
 
 def test_truth_is_the_model_s_own_motion_and_measurement():
@@ -276,8 +277,8 @@ def test_no_filter_beats_another_on_the_coordinated_turn(fleet):
     error = {}
     for name in FILTERS:
         result = run(name, fleet)
-        assert not result["diverged"].any()
-        e = (result["states"] - fleet.truth)[:, :, [0, 2]]
+        assert not result.diverged.any()
+        e = (result.states - fleet.truth)[:, :, [0, 2]]
         error[name] = np.sqrt((e**2).sum(-1).mean(-1))
     for name in SIGMA:
         # paired, as both saw the same noise: under one per cent of the error apart
@@ -287,8 +288,8 @@ def test_no_filter_beats_another_on_the_coordinated_turn(fleet):
 @pytest.mark.parametrize("name", FILTERS)
 def test_the_errors_are_as_large_as_the_filter_says(fleet, name):
     result = run(name, fleet, everything=True)
-    e = result["states"] - fleet.truth
-    nees = np.einsum("...i,...i", e, np.linalg.solve(result["covariances"], e[..., None])[..., 0])
+    e = result.states - fleet.truth
+    nees = np.einsum("...i,...i", e, np.linalg.solve(result.covariances, e[..., None])[..., 0])
     # chi-square with 5 degrees: 60 runs, each worth about ten independent draws
     assert nees.mean() == pytest.approx(5.0, abs=4 * np.sqrt(2 * 5 / (60 * 10)))
 

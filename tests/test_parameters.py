@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 import navgym
 from navgym import Parameter, ParameterSpace
-from navgym.filters.catalogue import CATALOGUE
+from navgym.problem import problems
 
-SPACES = {name: navgym.parameter_space(name) for name in navgym.filters()}
+SPACES = {f"{p.name} {name}": f.space for p in problems() for name, f in p.filters.items()}
 ALL = [(name, p) for name, space in SPACES.items() for p in space]
-QIVBF = SPACES["qivbf"]
+QIVBF = navgym.parameter_space("qivbf")
 
 
 @pytest.mark.parametrize(("filter_name", "parameter"), ALL, ids=lambda v: getattr(v, "name", v))
@@ -160,7 +160,7 @@ def test_qivbf_has_no_other_tunables():
     assert QIVBF["fill"].choices == ("skip", "extrapolate")
 
 
-@pytest.mark.parametrize("name", CATALOGUE)
+@pytest.mark.parametrize("name", SPACES)
 def test_every_default_is_admissible(name):
     for p in SPACES[name]:
         assert p.check(p.default) == p.default

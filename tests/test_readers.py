@@ -7,9 +7,9 @@ import pytest
 
 import navgym
 from navgym.batch import Batch
-from navgym.estimation import run
 from navgym.scenarios import Loss
 from navgym.simulation.auv import draw_losses
+from tests.helpers import run
 
 GT_HEADER = (
     "Time [s],Longitude [rad],Latitude [rad],Altitude [m],V North [m/s],V East [m/s],V Down [m/s],"
@@ -213,7 +213,7 @@ def real_rmse(akit):
             [navgym.read("akit", akit, track=n, loss=loss, seed=s) for n in TRACKS for s in SEEDS]
         )
         for name in ("kf", "kf_extrapolate", "kf_zero"):
-            error = (run(name, batch)["states"] - batch.truth)[..., [0, 2]]
+            error = (run(name, batch).states - batch.truth)[..., [0, 2]]
             found[name, loss] = np.sqrt((error**2).sum(-1).mean(-1))
     return found
 

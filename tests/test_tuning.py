@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 import navgym
-from navgym.filters.catalogue import CATALOGUE
+from navgym.auv.problem import PROBLEM, TRACKS
 from navgym.scenarios import SPLITS, split_of
 from tuning import report, tables, words
 from tuning.cases import Cases
 from tuning.comparison import Entry, compare
 from tuning.expected import Check
-from tuning.experiments import FOLDS, TRACKS, cross_tuned, per_track, real_cases
+from tuning.experiments import cross_tuned, per_track, real_cases
 from tuning.objective import GeometricMean, Guarded, Objective
 from tuning.schedule import RegimeTable
 from tuning.search_space import from_optuna, to_optuna
@@ -253,7 +253,7 @@ def test_no_trials_are_refused(goal):
         run(goal, 0)
 
 
-@pytest.mark.parametrize("name", [f.name for f in CATALOGUE.values() if len(f.space)])
+@pytest.mark.parametrize("name", [f.name for f in PROBLEM.filters.values() if len(f.space)])
 def test_every_space_can_be_searched_and_read_back(name):
     space = navgym.parameter_space(name)
     for unit in np.random.default_rng(0).random((20, len(space))):
@@ -371,7 +371,7 @@ def test_a_check_says_how_a_figure_compares(found_value, better, verdict):
 
 
 def test_the_stand_in_has_the_same_ways_with_new_noise():
-    one, other = (real_cases(None, 0.3, 2, split, [1, 2]) for split in ("train", "test"))
+    one, other = (real_cases(PROBLEM, None, 0.3, 2, split, [1, 2]) for split in ("train", "test"))
     assert len(one) == 4
     for a, b in zip(one.recordings, other.recordings, strict=True):
         np.testing.assert_array_equal(a.truth, b.truth)
@@ -382,17 +382,17 @@ def test_the_stand_in_has_the_same_ways_with_new_noise():
 def test_parameters_are_tuned_on_the_other_half_of_the_tracks(monkeypatch):
     asked = []
 
-    def record(folder, rate, draws, split, tracks=TRACKS):
+    def record(problem, folder, rate, draws, split, tracks=None):
         asked.append((split, tuple(tracks)))
-        return real_cases(folder, rate, draws, split, tracks)
+        return real_cases(problem, folder, rate, draws, split, tracks)
 
     monkeypatch.setattr("tuning.experiments.real_cases", record)
-    halves = list(cross_tuned(Entry("kf", "kf"), None, 1, 2))
+    halves = list(cross_tuned(PROBLEM, Entry("kf", "kf"), None, 1, 2))
     assert {split for split, _ in asked} == {"train"}
-    assert [tracks for tracks, _ in halves] == list(FOLDS)
-    assert list(dict.fromkeys(t for _, t in asked)) == list(FOLDS[::-1])
-    cases = real_cases(None, 0.1, 1, "test")
-    assert len(per_track(cases, halves)) == len(TRACKS)
+    assert [tracks for tracks, _ in halves] == list(TRACKS.folds)
+    assert list(dict.fromkeys(t for _, t in asked)) == list(TRACKS.folds[::-1])
+    cases = real_cases(PROBLEM, None, 0.1, 1, "test")
+    assert len(per_track(cases, halves)) == len(TRACKS.numbers)
 
 
 def test_splits_share_no_recording():

@@ -3,47 +3,38 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navgym._checks import Array
-from navgym.batch import Batch
-from navgym.estimation import DECISION_INTERVAL, run
-from navgym.metrics import degrees_of_freedom, run_rmse, squared_error
-from navgym.recording import Recording
+from navgym.metrics.measures import BLIND, Judged, bounded, innovation_quantities
+from navgym.problem import Problem, Run, problem_of
 from navgym.scenarios import seeds
 from navgym.simulation import find_scenario, simulate_many
-from tuning.measures import QUANTITIES, Judged, bounded, innovation_quantities
 from tuning.recipes import Recipe, remake, travelling
 
 
 @dataclass(frozen=True, eq=False)
 class Cases:
-    """Recordings, stacked, and where they come from.
+    """Recordings of one problem, stacked, and where they come from.
 
     Args:
+        problem: what they are recordings of.
         batch: the stacked recordings.
-        position: the states whose error is scored.
         about: provenance as JSON can hold it: scenario, seeds, overrides.
-        recordings: what was stacked, for regimes and plots; empty if only a batch was given.
-        span: shares of each recording's samples between which it is scored, 0 to 1.
+        span: shares of each recording between which it is scored, 0 to 1.
         recipe: how they were made, if they can be made again; see `tuning.recipes`.
     """
 
-    batch: Batch
-    position: tuple[int, ...] = (0, 2)
+    problem: Problem
+    batch: Any
     about: Mapping[str, Any] = field(default_factory=dict)
-    recordings: tuple[Recording, ...] = ()
     span: tuple[float, float] = (0.0, 1.0)
     recipe: Recipe | None = None
-
-    half = "auv"
-    plain_filters = ("kf", "ekf")  # need no tuning; the second for nonlinear models
-    bound_filter = "oracle"
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         return super().__reduce_ex__(protocol) if self.recipe is None else (remake, (self.recipe,))
@@ -51,16 +42,15 @@ class Cases:
     @classmethod
     def of(
         cls,
-        recordings: Sequence[Recording],
+        recordings: Sequence[Any],
         about: Mapping[str, Any] | None = None,
         span: tuple[float, float] = (0.0, 1.0),
     ) -> Cases:
-        """Stack `recordings`, which share one model size and one meaning of position."""
-        batch = Batch.of(recordings)
-        positions = {tuple(r.model.position) for r in recordings}
-        if len(positions) > 1:
-            raise ValueError(f"recordings must agree on their position states, got {positions}.")
-        return cls(batch, positions.pop(), dict(about or {}), tuple(recordings), span)
+        """Stack `recordings` of one problem; ValueError if there is none, or if they do not fit together."""
+        if not recordings:
+            raise ValueError("recordings must hold at least one recording, got none.")
+        problem = problem_of(recordings[0])
+        return cls(problem, problem.stack(recordings), dict(about or {}), span)
 
     @classmethod
     def simulated(
@@ -72,11 +62,20 @@ class Cases:
         steps: int | None = None,
         **overrides: Any,
     ) -> Cases:
-        """`count` recordings of `scenario` from the seeds of `split`, from its `start`-th on."""
+        """`count` recordings of `scenario` from the seeds of `split`, from its `start`-th on.
+
+        `steps` is for scenarios whose length is counted in samples.
+        """
         return _simulated(scenario, split, count, start, steps, **overrides)
 
     def __len__(self) -> int:
         return len(self.batch)
+
+    @property
+    def recordings(self) -> Sequence[Any]:
+        """What was stacked, for regimes and plots."""
+        found: Sequence[Any] = self.batch.recordings
+        return found
 
     @property
     def samples(self) -> int:
@@ -91,43 +90,34 @@ class Cases:
     @property
     def regimes(self) -> tuple[str, ...]:
         """Names of the true regimes; empty where they are not known."""
-        known = bool(self.recordings) and all(r.regime is not None for r in self.recordings)
-        return tuple(self.recordings[0].meta.get("regimes", ())) if known else ()
+        return tuple(self.recordings[0].meta.get("regimes", ())) if self.batch.regimes() else ()
 
     @property
     def plain(self) -> str:
-        """The filter that needs no tuning: `kf`, or `ekf` for a nonlinear model."""
-        linear = "H" in (self.batch.models.dtype.names or ())
-        return self.plain_filters[0 if linear else 1]
+        """The filter that needs no tuning, for these recordings' models."""
+        return self.problem.plain_filter(self.batch)
+
+    @property
+    def first_quantity(self) -> str:
+        """Name of the error that counts."""
+        return next(iter(self.problem.scoring.quantities))
 
     def take(self, which: Sequence[int] | NDArray[np.int64]) -> Cases:
         """Some of the recordings, in the order of `which`."""
-        chosen = tuple(self.recordings[i] for i in which) if self.recordings else ()
-        return Cases(self.batch.take(which), self.position, self.about, chosen, self.span)
+        return replace(self, batch=self.batch.take(which), recipe=None)
 
-    def by_regime(self, values: Sequence[float]) -> list[Array]:
-        """A parameter's schedule per recording: `values` by the true regime of each sample."""
-        return [np.asarray(values, dtype=np.float64)[r.regime] for r in self.recordings]
+    def by_regime(self, values: Sequence[float], delay: float = 0.0) -> list[Array]:
+        """A parameter's schedule per recording: `values` by the true regime of each step, `delay` s late.
 
-    def squared(self, states: Array) -> Array:
-        """Squared position error (N, T) in m² of states (N, T, n); NaN past a recording's end.
-
-        Raises ValueError for recordings without truth.
+        For runs of `decision_interval` 1.
         """
-        if self.batch.truth is None:
-            raise ValueError(
-                "errors need recordings with truth to score against: set truth=, or measure "
-                "by likelihood, which needs none."
-            )
-        return self._scored(squared_error(states, self.batch.truth, self.position))
+        late, table = round(delay / self.batch.step), np.asarray(values, dtype=np.float64)
+        return [
+            table[labels[np.maximum(np.arange(len(labels)) - late, 0)]]
+            for labels in self.batch.regimes()
+        ]
 
-    def _scored(self, each: Array) -> Array:
-        """`each` (N, T), NaN outside the span that is scored."""
-        if self.span == (0.0, 1.0):
-            return each
-        first, last = (np.round(share * self.batch.lengths)[:, None] for share in self.span)
-        k = np.arange(each.shape[1])
-        return np.where((k >= first) & (k < last), each, np.nan)
+    # ---- judging
 
     def judge(
         self,
@@ -136,57 +126,137 @@ class Cases:
         names: Sequence[str],
         decision_interval: int | None = None,
     ) -> Judged:
-        """Run a filter over every recording; its quantities (see `tuning.measures`) by `names`."""
-        everything = any(not QUANTITIES[name].needs_truth for name in names)
-        interval = decision_interval or DECISION_INTERVAL
+        """Run a filter over every recording; its quantities by `names`.
+
+        Args:
+            filter_name: one of the problem's.
+            parameters: as in `Problem.run`.
+            names: of the problem's quantities, "nll" or "nis".
+            decision_interval: filter steps per row of a schedule; the batch's own by default.
+
+        Raises ValueError where a quantity needs a truth that the recordings lack.
+        """
+        blind = [name for name in names if name in BLIND]
+        seen = [name for name in names if name not in BLIND]
+        told = (filter_name, parameters, decision_interval)
+        if self.problem.scoring.at_once is None:  # one run tells all
+            parts = [self._judged(*told, seen, blind)]
+        else:
+            parts = [self._judged(*told, seen, [])] if seen else []
+            parts += [self._a_few_at_a_time(*told, blind)] if blind else []
+        made = {name: each for part in parts for name, each in part.quantities.items()}
+        flags = np.any([part.flags for part in parts], axis=0)
+        spent = sum(part.microseconds for part in parts)
+        return Judged({name: made[name] for name in names}, flags, spent)
+
+    def _judged(
+        self,
+        filter_name: str,
+        parameters: Any,
+        decision_interval: int | None,
+        seen: Sequence[str],
+        blind: Sequence[str],
+    ) -> Judged:
+        """Quantities of one run over all recordings: those that see the truth, and those that do not."""
         began = time.perf_counter()
-        found = run(filter_name, self.batch, parameters, interval, everything)
+        run = self.problem.run(
+            filter_name, self.batch, parameters, decision_interval, everything=bool(blind)
+        )
         spent = 1e6 * (time.perf_counter() - began) / self.samples
         made: dict[str, Array] = {}
-        if "rmse" in names:
-            made["rmse"] = run_rmse(self.squared(found["states"]))
-        if everything:
-            components = degrees_of_freedom(self.batch.lost)
-            logs, nis = (self._scored(found[name]) for name in ("log_likelihood", "nis"))
-            made |= innovation_quantities(logs, nis, components)
-        flags = found["diverged"].astype(np.bool_)
-        return Judged({name: made[name] for name in names}, flags, spent)
+        if seen:
+            made |= self.problem.scoring.errors(self.batch, run.states, seen, self.span)
+        if blind:
+            made |= self._innovations(run)
+        return Judged(made, run.diverged.astype(np.bool_), spent)
+
+    def _a_few_at_a_time(
+        self,
+        filter_name: str,
+        parameters: Any,
+        decision_interval: int | None,
+        blind: Sequence[str],
+    ) -> Judged:
+        """What innovations say, `at_once` recordings at a time: all covariances would fill gigabytes."""
+        rows = [
+            (part.samples, part._judged(filter_name, own, decision_interval, (), blind))
+            for part, own in self._parts(parameters)
+        ]
+        return Judged(
+            {name: np.concatenate([r.quantities[name] for _, r in rows]) for name in blind},
+            np.concatenate([r.flags for _, r in rows]),
+            sum(samples * r.microseconds for samples, r in rows) / self.samples,
+        )
+
+    def _parts(self, parameters: Any) -> Iterator[tuple[Cases, Any]]:
+        """As many recordings as may be in memory at once, with their parameters."""
+        most = self.problem.scoring.at_once
+        if most is None:
+            yield self, parameters
+            return
+        for first in range(0, len(self), most):
+            which = range(first, min(first + most, len(self)))
+            listed = isinstance(parameters, list)
+            yield self.take(which), [parameters[i] for i in which] if listed else parameters
+
+    def _innovations(self, run: Run) -> dict[str, Array]:
+        """What the innovations of a run say, where they are judged."""
+        scoring = self.problem.scoring
+        judged = scoring.scored(self.batch, self.span)
+        logs, nis = (np.where(judged, each, np.nan) for each in (run.log_likelihood, run.nis))
+        components = run.components
+        if scoring.at_once is not None:  # few recordings: nothing is added up before and after
+            inside = np.flatnonzero(judged.any(axis=0))
+            cut = slice(inside[0], inside[-1] + 1)
+            logs, nis, components = logs[:, cut], nis[:, cut], components[:, cut]
+        return innovation_quantities(logs, nis, components)
 
     def trace(
         self, filter_name: str, parameters: Any, name: str, decision_interval: int | None = None
     ) -> Array:
-        """A quantity over time, (N, T): squared errors (of "rmse"), or what each sample's innovation
-        adds to "nll" or its NIS, per component; NaN where there is nothing to judge.
+        """A quantity over time, (N, T): squared errors, or what each step's innovation adds to "nll" or
+        its NIS, per component; NaN where there is nothing to judge.
         """
-        interval = decision_interval or DECISION_INTERVAL
-        blind = not QUANTITIES[name].needs_truth
-        found = run(filter_name, self.batch, parameters, interval, blind)
-        if not blind:
-            return self.squared(found["states"])
-        heard = degrees_of_freedom(self.batch.lost)
-        each = -found["log_likelihood"] if name == "nll" else found["nis"]
-        return self._scored(np.where(heard > 0, each, np.nan) / np.maximum(heard, 1))
+        scoring = self.problem.scoring
+        if name not in BLIND:
+            run = self.problem.run(filter_name, self.batch, parameters, decision_interval)
+            return scoring.squared(self.batch, run.states, name, self.span)
+        rows = []
+        for part, own in self._parts(parameters):
+            run = self.problem.run(filter_name, part.batch, own, decision_interval, everything=True)
+            each = -run.log_likelihood if name == "nll" else run.nis
+            if scoring.settling:  # how a filter settles is worth seeing, though it is not judged
+                shown = np.arange(part.batch.steps) < part.batch.lengths[:, None]
+            else:
+                shown = scoring.scored(part.batch, self.span)
+            heard = shown & (run.components > 0)
+            rows.append(np.where(heard, each, np.nan) / np.maximum(run.components, 1))
+        return np.concatenate(rows)
+
+    # ---- the error that counts
 
     def errors(
-        self, filter_name: str, parameters: Any = None, decision_interval: int = DECISION_INTERVAL
+        self, filter_name: str, parameters: Any = None, decision_interval: int | None = None
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Position RMSE of each run (N,) in m, infinite after a failure, and the filter's flags."""
-        found = self.judge(filter_name, parameters, ("rmse",), decision_interval)
-        return found.quantities["rmse"], found.flags
+        """The first quantity of each run (N,), infinite after a failure, and the filter's flags."""
+        name = self.first_quantity
+        found = self.judge(filter_name, parameters, (name,), decision_interval)
+        return found.quantities[name], found.flags
 
     def bounded_errors(
         self,
         filter_name: str,
         parameters: Any,
         plain: Array,
-        decision_interval: int = DECISION_INTERVAL,
+        decision_interval: int | None = None,
     ) -> Array:
-        """Position RMSE of each run (N,) in m, a diverged run at its ceiling: see `bounded`."""
-        found = self.judge(filter_name, parameters, ("rmse",), decision_interval)
-        return bounded(found, {"rmse": plain})["rmse"]
+        """The first quantity of each run (N,), a diverged run at its ceiling: see `bounded`."""
+        name = self.first_quantity
+        found = self.judge(filter_name, parameters, (name,), decision_interval)
+        return bounded(found, {name: plain}, self.problem.scoring.quantities)[name]
 
     def plain_errors(self) -> Array:
-        """Errors (N,) of the filter that needs no tuning: `kf`, or `ekf` for a nonlinear model."""
+        """The first quantity of each run (N,) of the filter that needs no tuning."""
         return self.errors(self.plain)[0]
 
 
@@ -196,12 +266,10 @@ def _simulated(
 ) -> Cases:
     chosen = seeds(split, count, start)
     found = find_scenario(scenario, **overrides)
-    about = {
-        "scenario": scenario,
-        "steps": found.steps if steps is None else steps,
-        "split": split,
-        "seeds": [chosen.start, chosen.stop - 1],
-    }
+    about: dict[str, Any] = {"scenario": scenario}
+    if hasattr(found, "steps"):
+        about["steps"] = found.steps if steps is None else steps
+    about |= {"split": split, "seeds": [chosen.start, chosen.stop - 1]}
     if overrides:
         about["overrides"] = {name: repr(value) for name, value in overrides.items()}
     return Cases.of(simulate_many(scenario, chosen, steps, **overrides), about)

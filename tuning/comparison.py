@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -12,10 +12,11 @@ from scipy import stats
 from tqdm import tqdm
 
 from navgym._checks import Array, one_of
-from navgym.estimation import parameter_space
 from navgym.metrics import PairedDifference, paired_difference, score
-from tuning.measures import Judged, Measure, find_measure
-from tuning.objective import AnyCases, checked_measure, plain_quantities
+from navgym.metrics.measures import Judged, Measure
+from navgym.problem import Problem
+from tuning.cases import Cases
+from tuning.objective import checked_measure, plain_quantities
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
@@ -27,10 +28,10 @@ class Entry:
 
     Args:
         label: what tables and plots call it.
-        filter: a name of `navgym.filters()`.
+        filter: one of the problem's.
         parameters: as `navgym.estimate` takes them; None for the defaults.
         bound: whether it needs the truth, and so bounds what can be reached.
-        interval: filter steps per row of a schedule; None for the half's usual.
+        interval: filter steps per row of a schedule; None for the problem's usual.
     """
 
     label: str
@@ -54,7 +55,7 @@ class Row:
         high: upper end.
         median: over runs.
         divergence_rate: share of runs that were flagged, failed, or are ten times worse than the
-            yardstick: the oracle where there is one, else the plain filter.
+            yardstick: the bound where there is one, else the plain filter.
         gain: 1 − mean / the reference's mean, NaN where means have no meaning.
         gain_low: lower end of its interval, from pairs.
         gain_high: upper end.
@@ -95,7 +96,7 @@ class Comparison:
         microseconds: per label, wall time per filter step here: the only part of a comparison
             that another machine gives otherwise.
         squared: per label, squared errors over time (N, T), for those that were asked for.
-        measure: what runs are judged by; the position RMSE by default.
+        measure: what runs are judged by.
     """
 
     rows: tuple[Row, ...]
@@ -103,8 +104,8 @@ class Comparison:
     about: Mapping[str, Any]
     errors: Mapping[str, Array]
     microseconds: Mapping[str, float]
-    squared: Mapping[str, Array] = field(default_factory=dict)
-    measure: Measure = field(default_factory=lambda: find_measure("auv", None))
+    squared: Mapping[str, Array]
+    measure: Measure
 
     def __getitem__(self, label: str) -> Row:
         return self.rows[[r.label for r in self.rows].index(self._known(label))]
@@ -130,10 +131,10 @@ class Comparison:
 
 def compare(
     entries: Sequence[Entry],
-    cases: AnyCases,
+    cases: Cases,
     reference: str,
-    plain: str = "kf",
-    oracle: str = "oracle",
+    plain: str | None = None,
+    oracle: str | None = None,
     keep: Sequence[str] = (),
     progress: str = "",
     measure: str | None = None,
@@ -144,11 +145,12 @@ def compare(
         entries: contenders with distinct labels.
         cases: the recordings; fresh ones, if anything was tuned.
         reference: label that gains are relative to.
-        plain: label of the filter that scores 0.
-        oracle: label of the one that scores 1; without such an entry there are no scores.
+        plain: label of the filter that scores 0; by default the one that needs no tuning.
+        oracle: label of the one that scores 1, by default the one that knows the truth; without such an
+            entry there are no scores.
         keep: labels whose squared errors over time are kept, for plots.
         progress: what to call the progress bar; none if empty.
-        measure: a name of `tuning.measures.MEASURES`; the half's own by default.
+        measure: one of the problem's measures, the first by default.
 
     Raises:
         ValueError: labels that are not distinct, an unknown `reference`.
@@ -167,19 +169,21 @@ def compare(
         errors[entry.label] = chosen.losses(found.quantities, scale)
         flags[entry.label], microseconds[entry.label] = found.flags, found.microseconds
     kept = {e.label: _trace(e, cases, chosen) for e in entries if e.label in keep}
-    rows = rows_of(entries, errors, flags, reference, (plain, oracle), chosen, cases.half)
+    ends = (plain or cases.plain, oracle or cases.problem.bound)
+    rows = rows_of(entries, errors, flags, reference, ends, chosen, cases.problem)
     return Comparison(rows, reference, cases.about, errors, microseconds, kept, chosen)
 
 
-def _judged(entry: Entry, cases: AnyCases, measure: Measure) -> Judged:
+def _judged(entry: Entry, cases: Cases, measure: Measure) -> Judged:
     """The entry's runs, timed with its kernels loaded."""
+    names = tuple(measure.quantities)
     if not isinstance(entry.parameters, list):
-        cases.take([0]).judge(entry.filter, entry.parameters, measure.quantities, entry.interval)
-    return cases.judge(entry.filter, entry.parameters, measure.quantities, entry.interval)
+        cases.take([0]).judge(entry.filter, entry.parameters, names, entry.interval)
+    return cases.judge(entry.filter, entry.parameters, names, entry.interval)
 
 
-def _trace(entry: Entry, cases: AnyCases, measure: Measure) -> Array:
-    return cases.trace(entry.filter, entry.parameters, measure.parts[0], entry.interval)
+def _trace(entry: Entry, cases: Cases, measure: Measure) -> Array:
+    return cases.trace(entry.filter, entry.parameters, measure.parts[0].name, entry.interval)
 
 
 def rows_of(
@@ -189,7 +193,7 @@ def rows_of(
     reference: str,
     ends: tuple[str, str],
     measure: Measure,
-    half: str,
+    problem: Problem,
     yardstick: str = "",
 ) -> tuple[Row, ...]:
     """A row per entry from errors and flags (N,) that are already there, by label.
@@ -201,7 +205,7 @@ def rows_of(
         reference: label that gains are relative to.
         ends: labels of the filters that score 0 and 1.
         measure: what the errors are.
-        half: "auv" or "deck".
+        problem: whose filters they are.
         yardstick: label that divergence is judged by; the filter that scores 1 by default, or else
             the one that scores 0.
     """
@@ -216,19 +220,25 @@ def rows_of(
         if limit is not None:
             lost = lost | (each > measure.ceiling(limit))
         rows.append(
-            _row(entry, each, float(lost.mean()), errors[reference], (means[0], means[1]), half)
+            _row(entry, each, float(lost.mean()), errors[reference], (means[0], means[1]), problem)
         )
     return tuple(rows)
 
 
 def _row(
-    entry: Entry, each: Array, lost: float, reference: Array, ends: tuple[float, float], half: str
+    entry: Entry,
+    each: Array,
+    lost: float,
+    reference: Array,
+    ends: tuple[float, float],
+    problem: Problem,
 ) -> Row:
     mean, low, high = _mean(each)
     gain = _difference(each, reference)
     scheduled = isinstance(entry.parameters, list)
-    space = parameter_space(entry.filter, deck=half == "deck")
-    values = space.defaults | dict({} if scheduled else entry.parameters or {})
+    values = problem.find(entry.filter).space.defaults | dict(
+        {} if scheduled else entry.parameters or {}
+    )
     known = all(map(math.isfinite, (*ends, mean)))
     return Row(
         entry.label, entry.filter, "schedule" if scheduled else values, entry.bound,

@@ -14,16 +14,18 @@ from scipy.spatial.transform import Rotation
 
 import navgym
 from navgym._checks import Array
+from navgym.deck.problem import PROBLEM
 from navgym.deck_batch import DeckBatch
+from navgym.deck_estimation import flexure_increments
 from navgym.dual_imu import DualIMURecording
 from navgym.filters.alignment import THETA
-from navgym.filters.catalogue import DECK_CATALOGUE, Filter
 from navgym.flexure import ARCMIN, FlexureModel
 from navgym.identification import METHODS, identify
-from navgym.increments import flexure_increments
+from navgym.problem import Filter
 from navgym.scenarios.deck import CALM, GUESS
 from tuning import deck_expected as expected
-from tuning.deck_cases import DeckCases, Trial
+from tuning.cases import Cases
+from tuning.deck_performance import Performance, try_out
 from tuning.expected import Check
 from tuning.plots import BAD, BEST, FAINT, PLAIN, drawing
 from tuning.report import Figure, Section, Table
@@ -38,7 +40,7 @@ SCALES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 
 
 @dataclass(frozen=True)
-class Size:
+class DeckReproductionAmount:
     """How much is run.
 
     Args:
@@ -53,19 +55,21 @@ class Size:
     identifications: int
     duration: float | None = None
 
-    def cases(self, scenario: str, split: str = "test", **overrides: Any) -> DeckCases:
+    def cases(self, scenario: str, split: str = "test", **overrides: Any) -> Cases:
         """Recordings of a scenario in this size."""
         if self.duration is not None:
             overrides["duration"] = self.duration
         count = self.runs if split == "test" else self.train
-        return DeckCases.simulated(f"deck/{scenario}", split, count, **overrides)
+        return Cases.simulated(f"deck/{scenario}", split, count, **overrides)
 
 
-FULL = Size(runs=60, train=24, identifications=40)
-QUICK = Size(runs=3, train=2, identifications=2, duration=125.0)
+FULL = DeckReproductionAmount(runs=60, train=24, identifications=40)
+QUICK = DeckReproductionAmount(runs=3, train=2, identifications=2, duration=125.0)
 
 
-def deck(size: Size, repoimu: Path | None, multi_imu: Path | None) -> Iterator[Part]:
+def deck(
+    size: DeckReproductionAmount, repoimu: Path | None, multi_imu: Path | None
+) -> Iterator[Part]:
     """Every part of the reproduction in turn."""
     yield comparison(size)
     yield limits(size)
@@ -83,16 +87,16 @@ def deck(size: Size, repoimu: Path | None, multi_imu: Path | None) -> Iterator[P
 # ---- the paper's comparison
 
 
-def comparison(size: Size) -> Part:
+def comparison(size: DeckReproductionAmount) -> Part:
     """IDAM, WOAM, SVRAM on the setting of section 5, all starting from the same guess."""
     cases = size.cases("paper", believed=GUESS, lever_error=0.03)
-    known = DeckCases(_believing(cases.batch, CALM.flexure), cases.about)
+    known = Cases(PROBLEM, _believing(cases.batch, CALM.flexure), cases.about)
     trials = {
-        "alignment, flexure known": known.try_out("alignment"),
-        "alignment, guess": cases.try_out("alignment"),
-        **{name: cases.try_out(_unshrunk(name)) for name in METHODS_COMPARED},
-        "idam_printed": cases.try_out("idam_printed"),
-        "idam, shrunk": cases.try_out("idam"),
+        "alignment, flexure known": try_out(known, "alignment"),
+        "alignment, guess": try_out(cases, "alignment"),
+        **{name: try_out(cases, _unshrunk(name)) for name in METHODS_COMPARED},
+        "idam_printed": try_out(cases, "idam_printed"),
+        "idam, shrunk": try_out(cases, "idam"),
     }
     rows = [_comparison_row(name, t, trials["idam"]) for name, t in trials.items()]
     head = [
@@ -126,7 +130,7 @@ def comparison(size: Size) -> Part:
 
 def _unshrunk(name: str) -> Filter:
     """A filter of the catalogue that believes what it identifies, and nothing else."""
-    chosen = DECK_CATALOGUE[name]
+    chosen = PROBLEM.filters[name]
     return replace(chosen, option=replace(chosen.option, shrunk=False))
 
 
@@ -141,7 +145,7 @@ def _with_flexure(recording: DualIMURecording, flexure: FlexureModel) -> DualIMU
     return replace(recording, model=model, check_units=False)
 
 
-def _comparison_row(name: str, trial: Trial, idam: Trial) -> list[str]:
+def _comparison_row(name: str, trial: Performance, idam: Performance) -> list[str]:
     each = trial.each("theta", 2)
     cells = [
         name,
@@ -159,11 +163,11 @@ def _comparison_row(name: str, trial: Trial, idam: Trial) -> list[str]:
     return [*cells, "–" if paper is None else f"{paper:.3f}"]
 
 
-def _shown(trial: Trial, quantity: str, axis: int | None = None) -> str:
+def _shown(trial: Performance, quantity: str, axis: int | None = None) -> str:
     return f"{trial.mean(quantity, axis):.2f} ± {trial.half(quantity, axis):.2f}"
 
 
-def _verdict(trials: Mapping[str, Trial]) -> list[str]:
+def _verdict(trials: Mapping[str, Performance]) -> list[str]:
     """What holds of the paper's ordering, and what does not, in plain words."""
     idam = trials["idam"]
     sd = float(idam.each("theta", 2).std(ddof=1))
@@ -205,7 +209,7 @@ def idam_bound() -> tuple[float, float]:
     return float(values[0]), float(values[1])
 
 
-def _bars(trials: Mapping[str, Trial]) -> Figure:
+def _bars(trials: Mapping[str, Performance]) -> Figure:
     """Every run's z figure beside its mean, the bound and the paper's value."""
     caption = "RMSE of θ_z of each run (dots), mean with 95 % interval, the paper's single run (cross); the dashed line is the split bound at 300 s."
     with drawing(caption, 0.7 + 0.42 * len(trials)) as (axes, made):
@@ -235,10 +239,10 @@ def _bars(trials: Mapping[str, Trial]) -> Figure:
 # ---- B2: what can be known at all
 
 
-def limits(size: Size) -> Part:
+def limits(size: DeckReproductionAmount) -> Part:
     """θ against the split bound; total attitude; the filter's own deviation."""
     cases = size.cases("paper", lever_error=0.03)
-    trial = cases.try_out("alignment", {"velocity_noise": 2.0})
+    trial = try_out(cases, "alignment", {"velocity_noise": 2.0})
     posterior = _posterior(cases, {"velocity_noise": 2.0})
     split = CALM.flexure.split_deviation(300.0) / ARCMIN
     checks = [
@@ -266,22 +270,17 @@ def limits(size: Size) -> Part:
     )
 
 
-def _posterior(cases: DeckCases, parameters: Mapping[str, Any]) -> Array:
+def _posterior(cases: Cases, parameters: Mapping[str, Any]) -> Array:
     """(3,) the filter's deviation of θ at the end of the first recording, arcmin."""
-    from navgym.deck_estimation import run_deck
-
-    one = replace(
-        cases.batch,
-        recordings=cases.batch.recordings[:1],
-        tapes=cases.batch.tapes[:1],
-        lengths=cases.batch.lengths[:1],
-    )
-    P = run_deck("alignment", one, parameters, everything=True)["covariances"][0, -1]
+    one = cases.batch.take([0])
+    P = PROBLEM.run("alignment", one, parameters, everything=True).covariances[0, -1]
     found: Array = np.sqrt(np.diag(P)[THETA]) / ARCMIN
     return found
 
 
-def _axis_checks(what: str, values: Sequence[float], trial: Trial, quantity: str) -> list[Check]:
+def _axis_checks(
+    what: str, values: Sequence[float], trial: Performance, quantity: str
+) -> list[Check]:
     return [
         Check(
             f"{what}, {a}", v, trial.mean(quantity, i), trial.half(quantity, i), expected.SPREAD * v
@@ -290,11 +289,9 @@ def _axis_checks(what: str, values: Sequence[float], trial: Trial, quantity: str
     ]
 
 
-def _bound_figure(cases: DeckCases) -> Figure:
+def _bound_figure(cases: Cases) -> Figure:
     """RMS over runs of θ's error at each time, beside the bound."""
-    from navgym.deck_estimation import run_deck
-
-    states = run_deck("alignment", cases.batch, {"velocity_noise": 2.0})["states"]
+    states = PROBLEM.run("alignment", cases.batch, {"velocity_noise": 2.0}).states
     error = (
         np.sqrt(np.nanmean((states[..., THETA] - cases.batch.tapes["theta"]) ** 2, axis=0)) / ARCMIN
     )
@@ -312,7 +309,7 @@ def _bound_figure(cases: DeckCases) -> Figure:
     return made[0]
 
 
-def levers(size: Size) -> Part:
+def levers(size: DeckReproductionAmount) -> Part:
     """What a small velocity noise sees, and what it believes to see."""
     parameters = {"velocity_noise": 0.01}
     cases: dict[str, dict[str, Any]] = {
@@ -323,8 +320,8 @@ def levers(size: Size) -> Part:
     trials, wide = {}, {}
     for name, overrides in cases.items():
         made = size.cases("paper", **overrides)
-        trials[name] = made.try_out("alignment", parameters)
-        wide[name] = made.try_out("alignment")
+        trials[name] = try_out(made, "alignment", parameters)
+        wide[name] = try_out(made, "alignment")
     checks = [
         Check(
             f"θ_z, lever arm: {n}, r_V = .01",
@@ -359,7 +356,7 @@ def levers(size: Size) -> Part:
 # ---- B2: identification
 
 
-def identification(size: Size) -> Part:
+def identification(size: DeckReproductionAmount) -> Part:
     """rms of ln b per method and axis, from 300 s of increments, and what the kernel scale does."""
     cases = replace(size, runs=size.identifications).cases("paper")
     inertial = [_true_increments(r, i, cases) for i, r in enumerate(cases.recordings)]
@@ -427,7 +424,7 @@ def _ln_b_errors(method: str, records: Sequence[Array], step: float, **options: 
     return errors
 
 
-def _true_alignment(recording: DualIMURecording, i: int, cases: DeckCases) -> Rotation:
+def _true_alignment(recording: DualIMURecording, i: int, cases: Cases) -> Rotation:
     tape, reference = cases.batch.tapes[i, : recording.steps], recording.reference
     assert reference is not None
     main, sub = (
@@ -436,14 +433,14 @@ def _true_alignment(recording: DualIMURecording, i: int, cases: DeckCases) -> Ro
     return main * Rotation.from_quat(recording.at_steps(reference)[-1]) * sub.inv()
 
 
-def _true_increments(recording: DualIMURecording, i: int, cases: DeckCases) -> Array:
+def _true_increments(recording: DualIMURecording, i: int, cases: Cases) -> Array:
     return flexure_increments(recording, _true_alignment(recording, i, cases))
 
 
 # ---- B2, B3: correntropy and model prediction
 
 
-def robustness(size: Size) -> Part:
+def robustness(size: DeckReproductionAmount) -> Part:
     """Widths against glitches and slams, weights judged by S and by R, model prediction."""
     quantities = ("theta", "theta_ac", "theta_rate")
     rows, found = [], {}
@@ -451,18 +448,20 @@ def robustness(size: Size) -> Part:
     for width in WIDTHS:
         line = ["off" if width >= 50.0 else f"{width:g}"]
         for name, each in cases.items():
-            trial = each.try_out("alignment_mcc", {"kernel_width": width}, attitude=False)
+            trial = try_out(each, "alignment_mcc", {"kernel_width": width}, attitude=False)
             line += [f"{trial.mean(q):.2f}" for q in quantities]
             found[f"{name}, width {width:g}"] = _summary(trial)
         rows.append(line)
-    printed = cases["slam"].try_out("idam_printed", {"kernel_width": 2.0})
+    printed = try_out(cases["slam"], "idam_printed", {"kernel_width": 2.0})
     found["slam, idam_printed, width 2"] = _summary(printed)
     head = ["kernel width", *(f"{n}: {q}" for n in cases for q in ("θ", "θ_ac", "θ̇"))]
     plain = size.cases("paper", lever_error=0.03)
     weights = (1e6, 100.0, 10.0, 1.0, 0.1, 1e-3)
     mpf = {
-        w: plain.try_out(
-            "idam", {"kernel_width": 50.0, "model_error_weight": w, "identification_window": 600.0}
+        w: try_out(
+            plain,
+            "idam",
+            {"kernel_width": 50.0, "model_error_weight": w, "identification_window": 600.0},
         )
         for w in weights
     }
@@ -477,8 +476,11 @@ def robustness(size: Size) -> Part:
     found |= {f"MPF weight {w:g}": _summary(t) for w, t in mpf.items()}
     predicted = {
         name: tuple(
-            each.try_out(
-                "idam", {"model_error_weight": w, "identification_window": 600.0}, attitude=False
+            try_out(
+                each,
+                "idam",
+                {"model_error_weight": w, "identification_window": 600.0},
+                attitude=False,
             )
             for w in (1e6, 10.0)
         )
@@ -506,19 +508,21 @@ def robustness(size: Size) -> Part:
     )  # fmt: skip
 
 
-def switching(size: Size) -> Part:
+def switching(size: DeckReproductionAmount) -> Part:
     """B3: the best fixed width, chosen on training seeds, against schedules by true regime."""
     train = size.cases("switch-60", "train")
-    tried = {w: train.try_out("alignment_mcc", {"kernel_width": w}, attitude=False) for w in WIDTHS}
+    tried = {
+        w: try_out(train, "alignment_mcc", {"kernel_width": w}, attitude=False) for w in WIDTHS
+    }
     best = min(tried, key=lambda w: tried[w].mean("theta_rate") / 0.7 + tried[w].mean("theta_ac"))
     cases = size.cases("switch-60")
     trials = {
-        "MCC off": cases.try_out("alignment"),
-        "best fixed width": cases.try_out("alignment_mcc", {"kernel_width": best}),
+        "MCC off": try_out(cases, "alignment"),
+        "best fixed width": try_out(cases, "alignment_mcc", {"kernel_width": best}),
         "true-regime schedule": _scheduled(cases, SCHEDULE, 0.0),
         "same, 1 s late, fall-back 20": _scheduled(cases, LATE, 1.0),
         "same, 5 s late, fall-back 20": _scheduled(cases, LATE, 5.0),
-        "oracle": cases.try_out("oracle"),
+        "oracle": try_out(cases, "oracle"),
     }
     base = trials["best fixed width"]
     checks = [
@@ -566,23 +570,24 @@ def switching(size: Size) -> Part:
     )
 
 
-def _scheduled(cases: DeckCases, values: Sequence[float], delay: float) -> Trial:
+def _scheduled(cases: Cases, values: Sequence[float], delay: float) -> Performance:
     schedule = cases.by_regime(values, delay)
-    return cases.try_out("alignment_mcc", [{"kernel_width": row} for row in schedule], 1)
+    return try_out(cases, "alignment_mcc", [{"kernel_width": row} for row in schedule], 1)
 
 
-def sea_state(size: Size) -> Part:
+def sea_state(size: DeckReproductionAmount) -> Part:
     """The flexure's parameters change: true ones, believed ones, and identification on line."""
     cases = size.cases("sea-state")
     trials = {
-        "believed (calm)": cases.try_out("alignment"),
-        "true at each moment": cases.try_out("oracle"),
+        "believed (calm)": try_out(cases, "alignment"),
+        "true at each moment": try_out(cases, "oracle"),
     }
     for window in (60.0, 120.0):
-        trials[f"idam, window {window:g} s"] = cases.try_out(
-            "idam", {"kernel_width": 50.0, "identification_window": window}
+        trials[f"idam, window {window:g} s"] = try_out(
+            cases, "idam", {"kernel_width": 50.0, "identification_window": window}
         )
-        trials[f"printed identification, window {window:g} s"] = cases.try_out(
+        trials[f"printed identification, window {window:g} s"] = try_out(
+            cases,
             "idam_printed",
             {"kernel_width": 50.0, "model_error_weight": 1e6, "identification_window": window},
         )
@@ -691,7 +696,7 @@ def quadrotor(folder: Path) -> Part:
 # ---- small helpers
 
 
-def _gain(trial: Trial, base: Trial, quantity: str) -> str:
+def _gain(trial: Performance, base: Performance, quantity: str) -> str:
     """Paired gain over `base` in per cent, with its 95 % interval."""
     if trial is base:
         return "–"
@@ -716,7 +721,7 @@ def _check_table(checks: Sequence[Check]) -> Table:
     )
 
 
-def _summary(trial: Trial) -> dict[str, Any]:
+def _summary(trial: Performance) -> dict[str, Any]:
     """A trial as JSON."""
     return {
         "runs": len(trial.diverged),

@@ -10,25 +10,13 @@ from typing import Any
 from tqdm import tqdm
 
 import navgym
-from navgym.filters.catalogue import CATALOGUE
-from navgym.scenarios import CATALOGUE as SCENARIOS
+from navgym.auv.problem import PROBLEM, STEERED, TRACKS
+from navgym.simulation import find_scenario
 from tuning import plots, tables, words
+from tuning.auv_contenders import UNTUNED, bank_beliefs, linear_filters, nonlinear_filters
 from tuning.cases import Cases
 from tuning.comparison import Comparison, Entry, compare
-from tuning.experiments import (
-    RATES,
-    STEERED,
-    TRACKS,
-    UNTUNED,
-    bank_beliefs,
-    best_fixed,
-    cross_tuned,
-    error_by_regime,
-    linear_filters,
-    nonlinear_filters,
-    per_track,
-    real_cases,
-)
+from tuning.experiments import best_fixed, cross_tuned, error_by_regime, per_track, real_cases
 from tuning.objective import Objective
 from tuning.report import Figure, Page, Section, Table, Tile
 from tuning.study import Outcome, Trial
@@ -51,7 +39,7 @@ TUNABLE = ("kf", "kf_extrapolate", "vbakf", "qivbf", "imm", "imm_wide", "bank")
 
 
 @dataclass(frozen=True)
-class Size:
+class DemoAmount:
     """How much is run.
 
     Args:
@@ -71,8 +59,8 @@ class Size:
     track_trials: int
 
 
-FULL = Size(trials=200, train=40, test=300, steps=None, draws=10, track_trials=60)
-QUICK = Size(trials=20, train=40, test=60, steps=300, draws=2, track_trials=6)
+FULL = DemoAmount(trials=200, train=40, test=300, steps=None, draws=10, track_trials=60)
+QUICK = DemoAmount(trials=20, train=40, test=60, steps=300, draws=2, track_trials=6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +91,7 @@ class Findings:
         real: whether the tracks are real.
     """
 
-    size: Size
+    size: DemoAmount
     tuning: Tuning
     cases: Cases
     conditions: Mapping[str, Comparison]
@@ -128,7 +116,7 @@ class Interrupted(Exception):  # noqa: N818 - it is no error
         self.outcome = outcome
 
 
-def run(size: Size, seed: int, out: Path, folder: Path | None) -> Findings:
+def run(size: DemoAmount, seed: int, out: Path, folder: Path | None) -> Findings:
     """The whole demo.
 
     Args:
@@ -157,7 +145,7 @@ def run(size: Size, seed: int, out: Path, folder: Path | None) -> Findings:
     )  # fmt: skip
 
 
-def tune(size: Size, seed: int, out: Path) -> Tuning:
+def tune(size: DemoAmount, seed: int, out: Path) -> Tuning:
     """The study on the scenario, kept in `out`; continues one that was interrupted."""
     journal = out / f"study-{size.train}x{size.steps or 'all'}-seed{seed}.log"
     goal, outcome, chosen = best_fixed(
@@ -168,7 +156,7 @@ def tune(size: Size, seed: int, out: Path) -> Tuning:
     return Tuning(goal, outcome, chosen)
 
 
-def simulated(values: Mapping[str, Any], cases: Cases, size: Size) -> dict[str, Comparison]:
+def simulated(values: Mapping[str, Any], cases: Cases, size: DemoAmount) -> dict[str, Comparison]:
     """Every filter on the scenario as it was tuned for, with losses, and where the model is right."""
     entries = [
         *linear_filters(simulated=True),
@@ -187,7 +175,7 @@ def simulated(values: Mapping[str, Any], cases: Cases, size: Size) -> dict[str, 
 
 
 def replayed(
-    values: Mapping[str, Any], size: Size, seed: int, folder: Path | None
+    values: Mapping[str, Any], size: DemoAmount, seed: int, folder: Path | None
 ) -> tuple[dict[str, Comparison], dict[str, Any], Figure]:
     """Every filter on the tracks: at its defaults, and tuned on the other half of them.
 
@@ -197,13 +185,13 @@ def replayed(
     tunable = [e for e in defaults if e.filter in TUNABLE]
     tuned = {
         entry.filter: list(
-            cross_tuned(entry, folder, max(size.draws // 2, 1), size.track_trials, seed)
+            cross_tuned(PROBLEM, entry, folder, max(size.draws // 2, 1), size.track_trials, seed)
         )
         for entry in tqdm(tunable, desc="tuning on the other tracks")
     }
     found = {}
-    for rate in RATES:
-        cases = real_cases(folder, rate, size.draws, "test")
+    for rate in TRACKS.rates:
+        cases = real_cases(PROBLEM, folder, rate, size.draws, "test")
         entries = [
             *defaults,
             *(Entry(BY_TRACKS.format(f), f, per_track(cases, v)) for f, v in tuned.items()),
@@ -381,8 +369,8 @@ def _study(found: Findings) -> Section:
         + f" of `qivbf` on training seeds. Its leaders were run again on validation seeds, where "
         f"trial {tuning.chosen.number + 1} was best; all figures on this page are from test seeds."
     ]
-    space = navgym.parameter_space("qivbf")
-    shipped = dict(SCENARIOS[SCENARIO.removeprefix("auv/")].reference)
+    space = PROBLEM.find("qivbf").space
+    shipped = dict(find_scenario(SCENARIO).reference)
     sets = {"untuned": UNTUNED, "default": space.defaults, "tuned here": tuning.values}
     sets["best known here"] = shipped
     note = "The last column is the scenario's reference in the catalogue, from a longer study."
@@ -452,7 +440,7 @@ def _what_tracks(found: Findings) -> str:
         return (
             "**The A-KIT data were not found, so these tracks are simulated stand-ins** with "
             "unmodelled turns and the same noise model; name the data's folder with `--data`. "
-            f"{len(TRACKS)} tracks, {runs} runs per loss rate."
+            f"{len(TRACKS.numbers)} tracks, {runs} runs per loss rate."
         )
     return (
         f"Tracks 1-6 of the Snapir AUV (A-KIT, github.com/ansfl/A-KIT): real Doppler velocity, "
@@ -496,7 +484,7 @@ def _alike(found: Comparison, label: str) -> bool:
 
 
 def _reading() -> Section:
-    rows = [[f.name, f.summary] for f in CATALOGUE.values()]
+    rows = [[f.name, f.summary] for f in PROBLEM.filters.values()]
     rows += [
         [TUNED, "qivbf with the parameters that this demo's study found"],
         [UNTUNED_LABEL, "qivbf as a reader of the paper would first set it"],

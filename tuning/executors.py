@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor
 from multiprocessing.connection import Connection
 from typing import Any
 
 from navgym._checks import positive_int
+from navgym.problem import REGISTERED, Registered, adopt
 
 THREADS = "OMP_NUM_THREADS"
 PATIENCE = 10  # s for a scheduler to answer
@@ -48,7 +50,7 @@ def _processes(count: int) -> Iterator[Executor]:
     # spawned: kernels' threads and database connections do not survive a fork
     context = multiprocessing.get_context("spawn")
     theirs, ours = context.Pipe(duplex=False)
-    pool = ProcessPoolExecutor(count, context, _prepare, (theirs,))
+    pool = ProcessPoolExecutor(count, context, _prepare, (theirs, dict(REGISTERED)))
     with _held_interrupts(), _one_thread():
         for _ in range(count):  # each submission starts a process
             pool.submit(os.getpid)
@@ -91,8 +93,12 @@ def _one_thread() -> Iterator[None]:
             del os.environ[THREADS]
 
 
-def _prepare(lifeline: Connection) -> None:
-    """A worker leaves Ctrl-C to its parent, which waits for the trials at hand, and dies with it."""
+def _prepare(lifeline: Connection, registered: Mapping[str, Registered]) -> None:
+    """A worker leaves Ctrl-C to its parent, which waits for the trials at hand, and dies with it.
+
+    It knows the problems that its parent knows.
+    """
+    adopt(registered)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_follow, args=(lifeline,), daemon=True).start()
 
@@ -122,6 +128,8 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
             "'dask scheduler', and workers with 'dask worker ADDRESS'."
         ) from error
     with client:
+        # workers of today and tomorrow know the problems that this process knows
+        client.register_worker_callbacks(functools.partial(adopt, dict(REGISTERED)))
         # pure=False: an evaluation may cost time that is measured, so none is answered from memory
         try:
             yield client.get_executor(pure=False)

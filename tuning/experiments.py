@@ -1,4 +1,4 @@
-"""The comparisons that the scripts show: who runs, on what, tuned how."""
+"""The comparisons that studies and reports share: who runs, on what, tuned how."""
 
 from __future__ import annotations
 
@@ -11,58 +11,16 @@ import numpy as np
 
 import navgym
 from navgym._checks import Array
-from navgym.estimation import parameter_space
-from navgym.filters.catalogue import CATALOGUE
-from navgym.models import LinearModel
-from navgym.readers import read
-from navgym.recording import Recording
-from navgym.simulation import simulate_many
+from navgym.problem import Problem, Steering, Tracks, problem_of
 from tuning.cases import Cases
 from tuning.comparison import Comparison, Entry
-from tuning.deck_cases import DeckCases
-from tuning.objective import AnyCases, Objective
+from tuning.objective import Objective
 from tuning.recipes import travelling
 from tuning.schedule import RegimeTable
 from tuning.selection import confirm
 from tuning.study import Outcome, Search, Trial, search
 
-TRACKS = (1, 2, 3, 4, 5, 6)
-FOLDS = (TRACKS[:3], TRACKS[3:])  # tuned on one half of the tracks, reported on the other
-RATES = (0.1, 0.3, 0.5)
-# what matters in a variational filter (SCIENCE A3)
-STEERED = ("vb_iterations", "prior_count", "forgetting", "process_noise_scale")
-# what an untuned reader of the paper would type (it gives none of them)
-UNTUNED = {
-    "vb_iterations": 10, "prior_count": 5.0, "forgetting": 0.97, "initial_count": 5.0,
-    "initial_scale": 1.0, "process_noise_scale": 1.0,
-}  # fmt: skip
-STAND_IN_STEPS = 400
-
-
-def linear_filters(simulated: bool) -> list[Entry]:
-    """Every filter made for a linear model, at its defaults; the oracle only where truth is known."""
-    return [
-        Entry(f.name, f.name, bound=f.needs_scales)
-        for f in CATALOGUE.values()
-        if not f.nonlinear and (simulated or not f.needs_scales)
-    ]
-
-
-def nonlinear_filters() -> list[Entry]:
-    """Every filter that takes a nonlinear model."""
-    return [Entry(f.name, f.name) for f in CATALOGUE.values() if f.nonlinear]
-
-
 # ---- tuning
-
-
-def simulated(
-    scenario: str, split: str, runs: int, steps: int | None = None, **overrides: Any
-) -> AnyCases:
-    """`runs` recordings of a scenario of either half; `steps` are samples of an AUV's."""
-    if scenario.startswith("deck/"):
-        return DeckCases.simulated(scenario, split, runs, **overrides)
-    return Cases.simulated(scenario, split, runs, steps=steps, **overrides)
 
 
 def best_fixed(
@@ -71,13 +29,13 @@ def best_fixed(
     seed: int = 0,
     runs: int = 40,
     journal: Path | None = None,
-    free: Sequence[str] = STEERED,
+    free: Sequence[str] = (),
     first: Sequence[Mapping[str, Any]] = (),
     fixed: Mapping[str, Any] | None = None,
-    steps: int | None = None,
     progress: bool = True,
-    filter_name: str = "qivbf",
+    filter_name: str = "",
     executor: Executor | None = None,
+    **overrides: Any,
 ) -> tuple[Objective, Outcome, Trial]:
     """Tune a filter on training seeds of `scenario`; the best of the leaders on validation seeds.
 
@@ -87,16 +45,18 @@ def best_fixed(
         seed: of the sampler.
         runs: recordings per trial, and again on the validation seeds.
         journal: keeps the study; see `tuning.study.search`.
-        free: parameters to vary.
+        free: parameters to vary; by default what a study of the problem varies.
         first: parameter sets to try early.
         fixed: values of the others; their defaults where it says nothing.
-        steps: samples per recording; the scenario's own by default.
         progress: whether to show a bar.
-        filter_name: what to tune.
+        filter_name: what to tune; by default what the problem's studies tune.
         executor: where trials are evaluated.
+        overrides: of the scenario.
     """
-    goal = Objective(filter_name, free, simulated(scenario, "train", runs, steps), "mean", fixed)
-    fresh = goal.on(simulated(scenario, "validation", runs, steps))
+    study = problem_of(scenario).study
+    cases = Cases.simulated(scenario, "train", runs, **overrides)
+    goal = Objective(filter_name or study.filter, free or study.free, cases, "mean", fixed)
+    fresh = goal.on(Cases.simulated(scenario, "validation", runs, **overrides))
     label = f"tuning on {scenario}"
     outcome = search(goal, trials, seed, journal, first, label, progress, executor)
     return goal, outcome, confirm(outcome, fresh)
@@ -109,110 +69,109 @@ def regime_table(
     seed: int = 0,
     runs: int = 40,
     journal: Path | None = None,
-    steps: int | None = None,
     progress: bool = True,
-    filter_name: str = "qivbf",
-    scheduled: Sequence[str] = ("forgetting", "process_noise_scale"),
     executor: Executor | None = None,
+    **overrides: Any,
 ) -> tuple[RegimeTable, Trial]:
     """Tune parameters by true regime, from `start` in all of them; otherwise as `best_fixed`.
 
-    Returns the table's goal on the training seeds and its best trial on validation seeds.
+    Filter and parameters are those that the problem's headroom is measured with. Returns the table's goal
+    on the training seeds and its best trial on validation seeds.
+
+    Raises ValueError for a scenario of a problem without regimes.
     """
-    fixed = {k: v for k, v in start.items() if k not in scheduled}
-    goal = RegimeTable(filter_name, scheduled, simulated(scenario, "train", runs, steps), fixed)
-    first = [goal.same_everywhere(start), _guess(goal, start)]
+    steering = steering_of(problem_of(scenario))
+    fixed = {k: v for k, v in start.items() if k not in steering.scheduled}
+    cases = Cases.simulated(scenario, "train", runs, **overrides)
+    goal = RegimeTable(steering.filter, steering.scheduled, cases, fixed)
+    first = [goal.same_everywhere(start), _guess(goal, start, steering)]
     label = f"table by regime of {scenario}"
     outcome = search(goal, trials, seed, journal, first, label, progress, executor)
-    fresh = goal.on(simulated(scenario, "validation", runs, steps))
+    fresh = goal.on(Cases.simulated(scenario, "validation", runs, **overrides))
     return goal, confirm(outcome.complete(), fresh)
 
 
-def _guess(table: RegimeTable, start: Mapping[str, Any]) -> dict[str, Any]:
-    """What one would try first: the true Q of each regime; on decks, the kernel off but for glitches."""
-    guess = table.same_everywhere(start)
-    cases = table.cases
-    for label, name in enumerate(cases.regimes):
-        if isinstance(cases, DeckCases):
-            guess[f"kernel_width [{name}]"] = 2.0 if "glitch" in name else 50.0
-        else:
-            here = [r.process_scale[r.regime == label] for r in cases.recordings]
-            guess[f"process_noise_scale [{name}]"] = float(np.concatenate(here).mean())
+def steering_of(problem: Problem) -> Steering:
+    """How the problem's headroom is measured; ValueError where no scenario has regimes."""
+    if problem.study.steering is None:
+        raise ValueError(
+            f"no scenario of {problem.name!r} has regimes to follow: take one of a problem that has."
+        )
+    return problem.study.steering
+
+
+def _guess(table: RegimeTable, start: Mapping[str, Any], steering: Steering) -> dict[str, Any]:
+    """What one would try first, knowing the regimes."""
+    guess, cases = table.same_everywhere(start), table.cases
+    for name, values in steering.guess(cases.batch).items():
+        by_regime = zip(cases.regimes, values, strict=True)
+        guess |= {f"{name} [{regime}]": value for regime, value in by_regime}
     return guess
 
 
 # ---- real tracks
 
 
+def tracks_of(problem: Problem) -> Tracks:
+    """The problem's real tracks; ValueError where it has none."""
+    if problem.tracks is None:
+        raise ValueError(f"problem {problem.name!r} has no real tracks.")
+    return problem.tracks
+
+
 @travelling
 def real_cases(
-    folder: Path | None, rate: float, draws: int, split: str, tracks: Sequence[int] = TRACKS
+    problem: Problem,
+    folder: Path | None,
+    rate: float,
+    draws: int,
+    split: str,
+    tracks: Sequence[int] | None = None,
 ) -> Cases:
     """Recordings of each track under independent losses, `draws` of noise and losses per track.
 
     Args:
-        folder: of the A-KIT data; None makes the simulated stand-in.
+        problem: whose tracks.
+        folder: of the data; None makes the simulated stand-in.
         rate: share of lost samples.
         draws: noise and loss seeds per track.
         split: whose seeds.
-        tracks: which.
+        tracks: which; every one by default.
     """
+    known = tracks_of(problem)
+    numbers = known.numbers if tracks is None else tracks
     chosen = navgym.seeds(split, draws)
-    recordings = [_track(folder, track, rate, seed) for track in tracks for seed in chosen]
+    recordings = [
+        known.recording(folder, track, rate, seed) for track in numbers for seed in chosen
+    ]
     about = {
-        "tracks": list(tracks),
+        "tracks": list(numbers),
         "loss": rate,
         "split": split,
         "seeds": [chosen.start, chosen.stop - 1],
-        "source": "simulated stand-in" if folder is None else "A-KIT",
+        "source": "simulated stand-in" if folder is None else known.title,
     }
     return Cases.of(recordings, about)
 
 
-def _track(folder: Path | None, track: int, rate: float, seed: int) -> Recording:
-    if folder is None:
-        return stand_in(track, rate, seed)
-    return read("akit", folder, track=track, loss=rate, seed=seed)
-
-
-def stand_in(track: int, rate: float, seed: int) -> Recording:
-    """A simulated track for machines without real ones: unmodelled turns, A-KIT's noise model.
-
-    The way sailed belongs to `track`, noise and losses to `seed`, as with the real tracks.
-    """
-    (way,) = simulate_many("auv/turn", [track], STAND_IN_STEPS)
-    model = LinearModel.white_acceleration(way.time[1] - way.time[0], x0=way.truth[0])
-    noise, losses = (
-        np.random.default_rng(words) for words in np.random.SeedSequence([track, seed]).spawn(2)
-    )
-    truth = way.truth[1:]
-    v = noise.standard_normal(truth.shape) * np.sqrt(np.diag(model.R))
-    return Recording(
-        time=way.time[1:],
-        measurements=truth + v,
-        lost=losses.random(len(truth)) < rate,
-        truth=truth,
-        model=model,
-        meta={"track": track, "seed": int(seed), "source": "simulated stand-in"},
-    )
-
-
 def cross_tuned(
-    entry: Entry, folder: Path | None, draws: int, trials: int, seed: int = 0
+    problem: Problem, entry: Entry, folder: Path | None, draws: int, trials: int, seed: int = 0
 ) -> Iterator[tuple[tuple[int, ...], dict[str, Any]]]:
     """Parameters of `entry.filter` for each half of the tracks, tuned on the other half.
 
     Tuning takes all loss rates together and the training seeds of noise and losses; so neither the
-    tracks nor the seeds of a report were tuned on. Yields (tracks to report on, parameters).
+    tracks nor the seeds of a report were tuned on. Numbers of sweeps, which cost time and change little,
+    stay as they are. Yields (tracks to report on, parameters).
     """
-    free = [n for n in parameter_space(entry.filter).names if n != "vb_iterations"]
-    for report_on, tune_on in (FOLDS, FOLDS[::-1]):
+    known = tracks_of(problem)
+    free = [p.name for p in problem.find(entry.filter).space if p.choices or not p.integer]
+    for report_on, tune_on in (known.folds, known.folds[::-1]):
         recordings = [
             r
-            for rate in RATES
-            for r in real_cases(folder, rate, draws, "train", tune_on).recordings
+            for rate in known.rates
+            for r in real_cases(problem, folder, rate, draws, "train", tune_on).recordings
         ]
-        about = {"tracks": list(tune_on), "loss": list(RATES), "seeds": "training"}
+        about = {"tracks": list(tune_on), "loss": list(known.rates), "seeds": "training"}
         goal = Objective(entry.filter, free, Cases.of(recordings, about))
         outcome = search(goal, trials, seed, progress=False).complete()
         yield report_on, dict(outcome.best.values)
@@ -228,17 +187,11 @@ def per_track(cases: Cases, found: Sequence[tuple[tuple[int, ...], dict[str, Any
 
 
 def error_by_regime(found: Comparison, cases: Cases) -> tuple[tuple[str, ...], dict[str, Array]]:
-    """Names of the regimes, and per kept label the RMSE (regimes,) over all samples of each, m."""
-    names = tuple(cases.recordings[0].meta["regimes"])
-    labels = np.stack([r.regime for r in cases.recordings])
+    """Names of the regimes, and per kept label the RMSE (regimes,) over all samples of each."""
+    names = cases.regimes
+    labels = np.stack(cases.batch.regimes())
     rms = {
         label: np.array([np.sqrt(square[labels == g].mean()) for g in range(len(names))])
         for label, square in found.squared.items()
     }
     return names, rms
-
-
-def bank_beliefs(recording: Recording) -> dict[str, Array]:
-    """The bank's probability (T,) of each of its three regimes."""
-    weights = navgym.estimate("bank", recording).extras["weights"].sum(axis=1)
-    return dict(zip(("nominal", "outlier", "manoeuvre"), weights.T, strict=True))

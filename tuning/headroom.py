@@ -2,79 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import functools
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from navgym._checks import one_of
+from navgym.problem import Amount, problem_of
 from navgym.simulation import scenarios
 from tuning import deck_expected, expected, plots, report, tables
+from tuning.cases import Cases
 from tuning.comparison import Comparison, Entry, compare
 from tuning.expected import Check
-from tuning.experiments import STEERED, best_fixed, regime_table, simulated
-from tuning.measures import MEASURES
+from tuning.experiments import best_fixed, regime_table, steering_of
 from tuning.report import Figure, Page, Section, Table
 from tuning.study import Search
 
 FIXED, TABLE = "best fixed", "table by true regime"
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What is tuned on a half.
-
-    Args:
-        filter: whose parameters.
-        free: what best fixed parameters vary.
-        scheduled: what follows the true regime.
-        fixed: values of the others.
-        first: parameter sets to try early.
-        measures: that contenders are compared by; the study minimises the half's own.
-        beside: filters that need no tuning, shown beside.
-    """
-
-    filter: str
-    free: tuple[str, ...]
-    scheduled: tuple[str, ...]
-    fixed: Mapping[str, Any]
-    first: tuple[Mapping[str, Any], ...]
-    measures: tuple[str, ...]
-    beside: tuple[str, ...]
-
-
-PLANS = {
-    "auv": Plan(
-        "qivbf", STEERED, ("forgetting", "process_noise_scale"),
-        # the prototype's priors, so that best fixed means the same four parameters
-        {"initial_count": 5.0, "initial_scale": 1.0},
-        tuple(
-            {"vb_iterations": 5, "prior_count": tau, "forgetting": 0.9, "process_noise_scale": 30.0}
-            for tau in (10.0, 2.0)
-        ),
-        ("rmse",), ("kf", "imm", "imm_wide", "bank", "bank_bursts"),
-    ),
-    "deck": Plan(
-        "alignment_mcc", ("kernel_width",), ("kernel_width",), {}, (),
-        ("theta_rate", "theta_ac", "theta"), ("alignment",),
-    ),
-}  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Size:
-    """How much is run: trials of each study, training recordings, fresh recordings."""
-
-    trials: int
-    train: int
-    test: int
-    steps: int | None = None
-
-
-# a deck's recording takes a hundred times an AUV's
-FULL = {"auv": Size(200, 40, 300), "deck": Size(60, 16, 60)}
-QUICK = {"auv": Size(8, 8, 20, 200), "deck": Size(4, 2, 2)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,78 +41,101 @@ class Headroom:
 
 
 def headroom(
-    scenario: str, size: Size, seed: int, out: Path, executor: Executor | None = None
+    scenario: str,
+    seed: int,
+    out: Path,
+    executor: Executor | None = None,
+    quick: bool = False,
+    amount: Amount | None = None,
+    **overrides: Any,
 ) -> Headroom:
     """Tune both on training seeds, choose on validation seeds, compare on test seeds.
 
     Args:
         scenario: a name of `navgym.scenarios()` with more than one regime.
-        size: how much to run.
         seed: of the samplers.
         out: folder of the studies.
         executor: where trials are evaluated.
+        quick: a few short recordings and trials, only to see it run.
+        amount: how much to run, if not what the problem says.
+        overrides: of the scenario.
 
     Raises:
         ValueError: an unknown scenario, or one without regimes to follow.
         KeyboardInterrupt: Ctrl-C; finished trials are kept.
     """
-    half, _, short = one_of("scenario", scenario, scenarios()).partition("/")
-    plan = PLANS[half]
-    how = Search(size.trials, seed, batch=4, prune=True)
-    stem = f"{half}-{short}-{size.train}-seed{seed}"
+    problem = problem_of(one_of("scenario", scenario, scenarios()))
+    steering = steering_of(problem)
+    much = amount or (steering.quick if quick else steering.amount)
+    changed = {**(steering.quick_overrides if quick else {}), **overrides}
+    how = Search(much.trials, seed, batch=4, prune=True)
+    stem = f"{scenario.replace('/', '-')}-{much.runs}-seed{seed}"
     _, outcome, best = best_fixed(
-        scenario, how, seed, size.train, out / f"fixed-{stem}.log", plan.free, plan.first, plan.fixed,
-        size.steps, filter_name=plan.filter, executor=executor,
+        scenario, how, seed, much.runs, out / f"fixed-{stem}.log", steering.free, steering.first,
+        steering.fixed, filter_name=steering.filter, executor=executor, **changed,
     )  # fmt: skip
     outcome.complete()
-    fixed = {**plan.fixed, **best.values}
+    fixed = {**steering.fixed, **best.values}
     table, chosen = regime_table(
-        scenario, fixed, how, seed, size.train, out / f"table-{stem}.log", size.steps,
-        filter_name=plan.filter, scheduled=plan.scheduled, executor=executor,
-    )  # fmt: skip
-    cases = simulated(scenario, "test", size.test, size.steps)
+        scenario,
+        fixed,
+        how,
+        seed,
+        much.runs,
+        out / f"table-{stem}.log",
+        executor=executor,
+        **changed,
+    )
+    cases = Cases.simulated(scenario, "test", much.report_runs, **changed)
     entries = [
-        *(Entry(name, name) for name in plan.beside),
-        Entry(FIXED, plan.filter, fixed),
-        Entry(TABLE, plan.filter, table.schedules(chosen.values, cases), True, 1),
-        Entry("oracle", "oracle", bound=True),
+        *(Entry(name, name) for name in steering.beside),
+        Entry(FIXED, steering.filter, fixed),
+        Entry(TABLE, steering.filter, table.schedules(chosen.values, cases), True, 1),
+        Entry(problem.bound, problem.bound, bound=True),
     ]
     found = {
-        m: compare(entries, cases, FIXED, cases.plain, measure=m, progress=f"{scenario}, {m}")
-        for m in plan.measures
+        m: compare(entries, cases, FIXED, measure=m, progress=f"{scenario}, {m}")
+        for m in steering.measures
     }
     values = {FIXED: fixed, TABLE: dict(chosen.values)}
-    return Headroom(scenario, values, found, tuple(_checks(half, short, found)))
+    checks = PROTOTYPE[scenario](found) if scenario in PROTOTYPE else ()
+    return Headroom(scenario, values, found, tuple(checks))
 
 
 # ---- against the prototype
 
 
-def _checks(half: str, short: str, found: Mapping[str, Comparison]) -> Iterator[Check]:
-    if half == "auv" and short in expected.HEADROOM:
-        for label, value in zip(
-            (FIXED, TABLE, "imm", "oracle"), expected.HEADROOM[short], strict=True
-        ):
-            row = found["rmse"][label]
-            half_width = row.high - row.mean
-            slack = max(expected.RELATIVE * value, half_width)
+def _position(name: str, found: Mapping[str, Comparison]) -> Iterator[Check]:
+    """Position RMSE of both contenders, IMM and oracle (SCIENCE A4)."""
+    for label, value in zip((FIXED, TABLE, "imm", "oracle"), expected.HEADROOM[name], strict=True):
+        row = found["rmse"][label]
+        half_width = row.high - row.mean
+        slack = max(expected.RELATIVE * value, half_width)
+        yield Check(f"{name}, {label}", value, row.mean, half_width, slack, label in (FIXED, TABLE))
+
+
+def _deformation(found: Mapping[str, Comparison]) -> Iterator[Check]:
+    """Errors of θ, and what the table wins in θ̇ (SCIENCE B3)."""
+    named = {"MCC off": "alignment", "best fixed width": FIXED, "true-regime schedule": TABLE}
+    for name, values in deck_expected.SWITCH.items():
+        for measure, value in zip(("theta", "theta_ac", "theta_rate"), values, strict=True):
+            row = found[measure][named[name]]
             yield Check(
-                f"{short}, {label}", value, row.mean, half_width, slack, label in (FIXED, TABLE)
-            )
-    if half == "deck" and short == "switch-60":
-        named = {"MCC off": "alignment", "best fixed width": FIXED, "true-regime schedule": TABLE}
-        for name, values in deck_expected.SWITCH.items():
-            for measure, value in zip(("theta", "theta_ac", "theta_rate"), values, strict=True):
-                row = found[measure][named[name]]
-                yield Check(
-                    f"{short}, {name}, {measure}", value, row.mean, row.high - row.mean,
-                    deck_expected.SPREAD * value, smaller_is_fine=True,
-                )  # fmt: skip
-        gain = found["theta_rate"].difference(TABLE, FIXED)
-        yield Check(
-            f"{short}: gain of the table in θ̇, %", deck_expected.SWITCH_GAIN, 100 * gain.relative_gain,
-            50 * (gain.gain_high - gain.gain_low), 3.0, larger_is_fine=True,
-        )  # fmt: skip
+                f"switch-60, {name}, {measure}", value, row.mean, row.high - row.mean,
+                deck_expected.SPREAD * value, smaller_is_fine=True,
+            )  # fmt: skip
+    gain = found["theta_rate"].difference(TABLE, FIXED)
+    yield Check(
+        "switch-60: gain of the table in θ̇, %", deck_expected.SWITCH_GAIN, 100 * gain.relative_gain,
+        50 * (gain.gain_high - gain.gain_low), 3.0, larger_is_fine=True,
+    )  # fmt: skip
+
+
+# what the prototype's figures are held against, by scenario
+PROTOTYPE: Mapping[str, Callable[[Mapping[str, Comparison]], Iterator[Check]]] = {
+    **{f"auv/{name}": functools.partial(_position, name) for name in expected.HEADROOM},
+    "deck/switch-60": _deformation,
+}
 
 
 # ---- what is shown
@@ -212,9 +181,9 @@ def _as_dict(found: Headroom) -> dict[str, Any]:
 
 
 def _verdict(found: Headroom) -> str:
-    measure, comparison = next(iter(found.comparisons.items()))
+    comparison = next(iter(found.comparisons.values()))
     d = comparison.difference(TABLE, FIXED)
-    label = MEASURES[found.scenario.partition("/")[0]][measure].label
+    label = comparison.measure.label
     return (
         f"**{found.scenario}**: parameters by true regime are {100 * d.relative_gain:.1f} % below best "
         f"fixed ones in {label} (95 % interval {100 * d.gain_low:.1f} to {100 * d.gain_high:.1f} %)."

@@ -11,14 +11,10 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from navgym._checks import Array, one_of
-from navgym.batch import Batch
-from navgym.estimation import parameter_space
+from navgym.metrics.measures import METRICS, Measure, bounded
 from navgym.parameters import Parameter, ParameterSpace
+from navgym.problem import Batch, Problem, problem_of
 from tuning.cases import Cases
-from tuning.deck_cases import DeckCases
-from tuning.measures import METRICS, Measure, bounded, find_measure
-
-AnyCases = Cases | DeckCases
 
 
 class Goal(Protocol):
@@ -87,35 +83,33 @@ class Objective:
     """One filter over a set of recordings, as a function of free parameters.
 
     Args:
-        filter_name: a name of `navgym.filters()`.
+        filter_name: one of the recordings' problem's.
         free: names of the parameters to vary, or parameters with ranges of their own; the order is
             the study's.
-        cases: the recordings, as `Cases`, `DeckCases` or a plain `Batch` whose position states are
-            0 and 2.
-        metric: of the runs' losses: a name of `tuning.measures.METRICS`.
+        cases: the recordings, as `Cases` or as a batch that holds what was stacked.
+        metric: of the runs' losses: a name of `navgym.metrics.measures.METRICS`.
         fixed: parameters held at values of their own; the others stay at their defaults.
-        measure: the loss of a run: a name of `tuning.measures.MEASURES`; the position RMSE, for a
-            deck the composite, by default.
+        measure: the loss of a run: one of the problem's measures, the first by default.
 
     Raises:
         ValueError: unknown filter, parameter, metric or measure; no free parameter, or one that is
             fixed as well; recordings without the truth that the measure needs.
 
     A diverged run counts at a ceiling over the plain filter's on the same recording (see
-    `tuning.measures.bounded`), so the result is finite for any parameters.
+    `navgym.metrics.measures.bounded`), so the result is finite for any parameters.
     """
 
     def __init__(
         self,
         filter_name: str,
         free: Iterable[str | Parameter],
-        cases: AnyCases | Batch,
+        cases: Cases | Batch,
         metric: str = "mean",
         fixed: Mapping[str, Any] | None = None,
         measure: str | None = None,
     ) -> None:
-        self.cases: AnyCases = Cases(cases) if isinstance(cases, Batch) else cases
-        whole = parameter_space(filter_name, deck=self.cases.half == "deck")
+        self.cases = cases if isinstance(cases, Cases) else _stacked(cases)
+        whole = self.cases.problem.find(filter_name).space
         self.filter_name = filter_name
         self.space = _space(whole, free)
         self.fixed = dict(fixed or {})
@@ -126,7 +120,7 @@ class Objective:
         self.plain = plain_quantities(self.cases, self.measure)
         self._allowed = self._limits()
 
-    def on(self, cases: AnyCases) -> Objective:
+    def on(self, cases: Cases) -> Objective:
         """The same objective on other recordings."""
         return Objective(
             self.filter_name, self.space, cases, self.metric, self.fixed, self.measure.name
@@ -138,7 +132,7 @@ class Objective:
     @property
     def about(self) -> dict[str, Any]:
         """Filter, fixed parameters, metric and recordings."""
-        whole = parameter_space(self.filter_name, deck=self.cases.half == "deck")
+        whole = self.cases.problem.find(self.filter_name).space
         rest = [name for name in whole.names if name not in self.space.names]
         held = whole.defaults | self.fixed
         return {
@@ -150,7 +144,7 @@ class Objective:
 
     def _limits(self) -> dict[str, float]:
         """What each limited quantity may come to in the mean."""
-        shares = dict(self.measure.limits)
+        shares = {quantity.name: share for quantity, share in self.measure.limits}
         if not shares:
             return {}
         found = self.cases.judge(self.filter_name, self.fixed, tuple(shares)).quantities
@@ -160,8 +154,10 @@ class Objective:
         """Losses of the recordings `which`, in one call of the kernel."""
         cases = self.cases if which is None else self.cases.take(which)
         plain = self.plain if which is None else {q: p[which] for q, p in self.plain.items()}
-        found = cases.judge(self.filter_name, self.fixed | dict(values), self.measure.quantities)
-        kept = bounded(found, plain)
+        found = cases.judge(
+            self.filter_name, self.fixed | dict(values), tuple(self.measure.quantities)
+        )
+        kept = bounded(found, plain, self.measure.quantities)
         limits = {q: kept[q] / allowed for q, allowed in self._allowed.items()}
         return Evaluation(self.measure.losses(kept, self.plain), limits, found.microseconds)
 
@@ -179,9 +175,22 @@ class Objective:
         return float(METRICS[self.metric](self.errors(values)))
 
 
-def checked_measure(cases: AnyCases, name: str | None) -> Measure:
+def _stacked(batch: Batch) -> Cases:
+    """A batch as cases without provenance; ValueError if it does not hold its recordings."""
+    if not batch.recordings:
+        raise ValueError("a batch must hold its recordings: stack them with the problem's `stack`.")
+    return Cases(problem_of(batch.recordings[0]), batch)
+
+
+def find_measure(problem: Problem, name: str | None) -> Measure:
+    """The problem's measure of that name, its first for None; ValueError if unknown."""
+    known = problem.scoring.measures
+    return next(iter(known.values())) if name is None else known[one_of("measure", name, known)]
+
+
+def checked_measure(cases: Cases, name: str | None) -> Measure:
     """The measure called `name` if these recordings have what it needs; ValueError if not."""
-    measure = find_measure(cases.half, name)
+    measure = find_measure(cases.problem, name)
     if measure.needs_truth and not cases.has_truth:
         raise ValueError(
             f"measure {measure.name!r} needs the truth, which these recordings lack: use "
@@ -190,9 +199,9 @@ def checked_measure(cases: AnyCases, name: str | None) -> Measure:
     return measure
 
 
-def plain_quantities(cases: AnyCases, measure: Measure) -> dict[str, Array]:
+def plain_quantities(cases: Cases, measure: Measure) -> dict[str, Array]:
     """The measure's quantities (N,) of the filter that needs no tuning."""
-    return dict(cases.judge(cases.plain, None, measure.quantities).quantities)
+    return dict(cases.judge(cases.plain, None, tuple(measure.quantities)).quantities)
 
 
 def _space(whole: ParameterSpace, free: Iterable[str | Parameter]) -> ParameterSpace:

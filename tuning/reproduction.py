@@ -7,21 +7,18 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from navgym.auv.problem import PROBLEM, TRACKS
 from navgym.metrics import rms, steady_state
 from navgym.models import LinearModel
+from navgym.problem import Amount
 from navgym.scenarios import SHIFTS
 from tuning import expected, tables, words
 from tuning import headroom as steering
+from tuning.auv_contenders import UNTUNED, linear_filters, nonlinear_filters
 from tuning.cases import Cases
 from tuning.comparison import Comparison, Entry, Row, compare
 from tuning.expected import Check
-from tuning.experiments import (
-    RATES,
-    UNTUNED,
-    linear_filters,
-    nonlinear_filters,
-    real_cases,
-)
+from tuning.experiments import real_cases
 from tuning.report import Figure, Page, Section, Table, Tile
 
 CONDITIONS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
@@ -39,7 +36,7 @@ SWITCHING = ("switch-D", "switch-B", "switch-A")
 
 
 @dataclass(frozen=True)
-class Size:
+class ReproductionAmount:
     """How much is run.
 
     Args:
@@ -57,8 +54,8 @@ class Size:
     steps: int | None = None
 
 
-FULL = Size(runs=300, train=40, trials=200, draws=10)
-QUICK = Size(runs=20, train=10, trials=6, draws=2, steps=200)
+FULL = ReproductionAmount(runs=300, train=40, trials=200, draws=10)
+QUICK = ReproductionAmount(runs=20, train=10, trials=6, draws=2, steps=200)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +67,7 @@ class Part:
     found: Mapping[str, Any] = field(default_factory=dict)
 
 
-def auv(size: Size, seed: int, out: Path, folder: Path | None) -> Iterator[Part]:
+def auv(size: ReproductionAmount, seed: int, out: Path, folder: Path | None) -> Iterator[Part]:
     """Every part of the reproduction in turn."""
     yield losses(size)
     yield headroom(size, seed, out)
@@ -83,7 +80,7 @@ def auv(size: Size, seed: int, out: Path, folder: Path | None) -> Iterator[Part]
 # ---- A2: what to do with a lost sample
 
 
-def losses(size: Size) -> Part:
+def losses(size: ReproductionAmount) -> Part:
     """The five conditions at 30 % loss, with the printed QIVBF."""
     entries = [
         *(Entry(n, n, bound=n == "oracle") for n in ("oracle", "kf")),
@@ -120,7 +117,7 @@ def _slack(row: Row, value: float, relative: float = expected.RELATIVE) -> float
     return max(relative * value, _half(row))
 
 
-def _no_loss(size: Size) -> Check:
+def _no_loss(size: ReproductionAmount) -> Check:
     cases = Cases.simulated("auv/nominal", "test", size.runs, steps=size.steps, loss=0.0)
     row = compare([Entry("kf", "kf")], cases, "kf").rows[0]
     value = expected.NO_LOSS
@@ -205,14 +202,14 @@ def _list(names: list[str]) -> str:
 # ---- A4: best fixed, true-regime table, IMM, oracle
 
 
-def headroom(size: Size, seed: int, out: Path) -> Part:
+def headroom(size: ReproductionAmount, seed: int, out: Path) -> Part:
     """Best fixed parameters and the table by true regime, tuned here, against IMM and oracle."""
     found: dict[str, Comparison] = {}
     chosen: dict[str, Any] = {}
     checks: list[Check] = []
-    amount = steering.Size(size.trials, size.train, size.runs, size.steps)
+    amount = Amount(size.trials, size.train, size.train, size.runs)
     for name in SWITCHING:
-        one = steering.headroom(f"auv/{name}", amount, seed, out)
+        one = steering.headroom(f"auv/{name}", seed, out, amount=amount, steps=size.steps)
         found[name], chosen[name] = one.comparisons["rmse"], dict(one.values)
         checks += one.checks
     by_name = {c.what: c for c in checks}
@@ -247,7 +244,7 @@ def _expected_gap(name: str) -> float:
 # ---- A6: the bank against the wide IMM
 
 
-def bank(size: Size) -> Part:
+def bank(size: ReproductionAmount) -> Part:
     """The bank and the wide IMM, as designed for and off their design."""
     found: dict[str, Comparison] = {}
     checks: list[Check] = []
@@ -265,7 +262,7 @@ def bank(size: Size) -> Part:
     return Part(section, tuple(checks), _as_dict(found))
 
 
-def _bank_comparison(name: str, shift: str, size: Size) -> Comparison:
+def _bank_comparison(name: str, shift: str, size: ReproductionAmount) -> Comparison:
     overrides = SHIFTS.get(shift, {})  # none as designed
     cases = Cases.simulated(f"auv/{name}", "test", size.runs, steps=size.steps, **overrides)
     entries = [
@@ -311,7 +308,7 @@ def _bank_text(found: Mapping[str, Comparison]) -> list[str]:
 # ---- the nonlinear filters and the real tracks
 
 
-def turn(size: Size) -> Part:
+def turn(size: ReproductionAmount) -> Part:
     """CUKF, UKF, CKF and EKF on the coordinated turn."""
     cases = Cases.simulated("auv/coordinated-turn", "test", size.runs, steps=size.steps)
     found = compare(nonlinear_filters(), cases, "ekf", plain="ekf", progress="coordinated turn")
@@ -334,12 +331,12 @@ def turn(size: Size) -> Part:
     )
 
 
-def tracks(size: Size, folder: Path) -> Part:
+def tracks(size: ReproductionAmount, folder: Path) -> Part:
     """Every filter on A-KIT's tracks at three loss rates."""
     found, checks = {}, []
-    for i, rate in enumerate(RATES):
+    for i, rate in enumerate(TRACKS.rates):
         name = f"{100 * rate:.0f} % lost"
-        cases = real_cases(folder, rate, size.draws, "test")
+        cases = real_cases(PROBLEM, folder, rate, size.draws, "test")
         found[name] = compare(
             linear_filters(simulated=False), cases, "kf", progress=f"tracks, {name}"
         )

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from navgym._checks import Array
-from navgym.estimation import parameter_space
+from navgym.metrics.measures import METRICS, bounded
 from navgym.parameters import ParameterSpace
-from tuning.measures import METRICS, bounded
-from tuning.objective import AnyCases, Evaluation, checked_measure, plain_quantities
+from tuning.cases import Cases
+from tuning.objective import Evaluation, checked_measure, plain_quantities
 
 
 class RegimeTable:
@@ -22,7 +22,7 @@ class RegimeTable:
     free once per regime, under the name "forgetting [outlier]".
 
     Args:
-        filter_name: a name of `navgym.filters()`.
+        filter_name: one of the recordings' problem's.
         scheduled: names of the parameters that follow the regime.
         cases: simulated recordings of one scenario.
         fixed: the other parameters.
@@ -37,14 +37,14 @@ class RegimeTable:
         self,
         filter_name: str,
         scheduled: Iterable[str],
-        cases: AnyCases,
+        cases: Cases,
         fixed: Mapping[str, Any] | None = None,
         measure: str | None = None,
     ) -> None:
         if not cases.regimes:
             raise ValueError("cases must hold simulated recordings, which know their regimes.")
         self.filter_name = filter_name
-        self._whole = parameter_space(filter_name, deck=cases.half == "deck")
+        self._whole = cases.problem.find(filter_name).space
         self.scheduled = self._whole.subset(scheduled)
         self.cases = cases
         self.fixed = dict(fixed or {})
@@ -58,7 +58,7 @@ class RegimeTable:
         )
         self._plain = plain_quantities(cases, self.measure)
 
-    def on(self, cases: AnyCases) -> RegimeTable:
+    def on(self, cases: Cases) -> RegimeTable:
         """The same table on other recordings of the scenario."""
         names = self.scheduled.names
         return RegimeTable(self.filter_name, names, cases, self.fixed, self.measure.name)
@@ -83,7 +83,7 @@ class RegimeTable:
         }
 
     def schedules(
-        self, values: Mapping[str, Any], cases: AnyCases | None = None
+        self, values: Mapping[str, Any], cases: Cases | None = None
     ) -> list[dict[str, Any]]:
         """One dict of parameters per recording; the scheduled ones with a number per filter step.
 
@@ -106,10 +106,10 @@ class RegimeTable:
         cases = self.cases if which is None else self.cases.take(which)
         plain = self._plain if which is None else {q: p[which] for q, p in self._plain.items()}
         schedules = self.schedules(values, cases)
-        found = cases.judge(self.filter_name, schedules, self.measure.quantities, 1)
-        return Evaluation(
-            self.measure.losses(bounded(found, plain), self._plain), {}, found.microseconds
-        )
+        quantities = self.measure.quantities
+        found = cases.judge(self.filter_name, schedules, tuple(quantities), 1)
+        kept = bounded(found, plain, quantities)
+        return Evaluation(self.measure.losses(kept, self._plain), {}, found.microseconds)
 
     def errors(self, values: Mapping[str, Any]) -> Array:
         """Loss of each run (N,), bounded."""

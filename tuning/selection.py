@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from navgym.metrics.measures import METRICS
 from navgym.parameters import ParameterSpace
-from tuning.measures import METRICS
 from tuning.objective import Evaluation, Goal, InstanceGoal
 from tuning.racing import evaluate
 from tuning.study import Outcome, Trial

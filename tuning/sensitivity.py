@@ -11,8 +11,8 @@ import numpy as np
 import optuna
 
 from navgym._checks import Array
+from navgym.metrics.measures import METRICS
 from navgym.parameters import Parameter, ParameterSpace
-from tuning.measures import METRICS
 from tuning.objective import InstanceGoal
 from tuning.search_space import distribution, distributions, to_optuna
 from tuning.study import Outcome

@@ -9,36 +9,43 @@ from pathlib import Path
 from typing import Any
 
 from navgym._checks import one_of, positive_int
-from navgym.estimation import parameter_space
-from navgym.filters.catalogue import CATALOGUE, DECK_CATALOGUE
+from navgym.metrics.measures import METRICS
 from navgym.parameters import Parameter
+from navgym.problem import Amount, Problem, problem_of, problems, problems_with
+from navgym.readers import formats
 from navgym.simulation import scenarios
-from tuning.experiments import STEERED
-from tuning.measures import METRICS, find_measure
-from tuning.objective import narrowed
+from tuning.objective import find_measure, narrowed
 from tuning.search_space import SAMPLERS
 from tuning.study import STUDY
 
 ALL = "all"
-
-
-@dataclass(frozen=True)
-class Amount:
-    """How much is run: per half, since a deck's recording takes a hundred times an AUV's."""
-
-    trials: int
-    runs: int
-    select_runs: int
-    report_runs: int
-
-
-AMOUNTS = {"auv": Amount(200, 40, 100, 300), "deck": Amount(60, 16, 16, 60)}
 # of real tracks, runs are draws of noise and losses per track and loss rate
-TRACKS = Amount(200, 10, 10, 10)
+ON_TRACKS = Amount(200, 10, 10, 10)
+_FIRST = next(problems()).study  # what is tuned where nothing is said
 
 
+def _usual(name: str) -> str:
+    """How much is run by default, for each problem."""
+    return ", ".join(f"{p.name} {getattr(p.study.amount, name)}" for p in problems())
+
+
+def _measures() -> str:
+    """Every problem's measures, the default first."""
+    return "; ".join(f"{p.name}: {', '.join(p.scoring.measures)}" for p in problems())
+
+
+def _told(kind: type[StudySettings]) -> type[StudySettings]:
+    """Put what problems say for themselves into the manual."""
+    text = (kind.__doc__ or "").replace("{measures}", _measures())
+    for name in ("trials", "runs", "select_runs", "report_runs"):
+        text = text.replace(f"{{{name}}}", _usual(name))
+    kind.__doc__ = text
+    return kind
+
+
+@_told
 @dataclass(frozen=True)
-class Settings:
+class StudySettings:
     """A study of one filter's parameters.
 
     Args:
@@ -48,22 +55,21 @@ class Settings:
         log: tune on these real logs instead. Without --report-log the first half of each is tuned on,
             the next fifth chooses among the leaders, and the report is on the rest.
         report_log: logs to report on.
-        format: of the logs: csv, or deck_csv.
+        format: of the logs: csv, deck_csv or another that navgym.read knows.
         akit: folder of the A-KIT tracks: tune on 1 to 3 without their truth, report on 4 to 6.
         free: parameters to vary; all for every one. By default, of a variational filter on simulated
             conditions, the four that matter there; otherwise every one.
         fix: parameters held at a value of their own, such as: vb_iterations 3
         range: narrower ranges, such as: process_noise_scale 1 100
-        measure: loss of a run: rmse, likelihood or consistency; on decks also composite, theta_rate,
-            theta_ac, theta, attitude. By default rmse or composite; likelihood where no truth is known.
+        measure: loss of a run ({measures}). By default the first; likelihood where no truth is known.
         metric: of the runs' losses: mean, median or "quantile 95 %".
         cost: minimise the time per filter step as well, and show the front.
-        trials: finished trials to end with (default: 200, on decks 60).
-        runs: training recordings per trial (default: 40, on decks 16); with --akit draws of noise and
+        trials: finished trials to end with (default: {trials}).
+        runs: training recordings per trial (default: {runs}); with --akit draws of noise and
             losses per track and loss rate (10).
-        select_runs: recordings of the validation seeds that choose among the leaders (100, 16).
-        report_runs: recordings of the test seeds that the report is on (300, 60).
-        steps: samples per AUV recording, if not the scenario's own.
+        select_runs: recordings of the validation seeds that choose among the leaders ({select_runs}).
+        report_runs: recordings of the test seeds that the report is on ({report_runs}).
+        steps: samples per recording, if not the scenario's own, where it counts in samples.
         seed: of the sampler.
         sampler: tpe, cma-es, gp, nsga-ii or random.
         prune: give up trials that are surely worse than the best, after part of the recordings.
@@ -77,8 +83,8 @@ class Settings:
         out: folder for report.html, results.json, tuned.toml and the study.
     """
 
-    filter: str = "qivbf"
-    scenario: tuple[str, ...] = ("auv/switch-D",)
+    filter: str = _FIRST.filter
+    scenario: tuple[str, ...] = (_FIRST.scenario,)
     overrides: dict[str, float] = field(default_factory=dict)
     log: tuple[Path, ...] = ()
     report_log: tuple[Path, ...] = ()
@@ -107,7 +113,7 @@ class Settings:
     out: Path = Path("runs/tune")
 
     def __post_init__(self) -> None:
-        one_of("filter", self.filter, {**CATALOGUE, **DECK_CATALOGUE})
+        problems_with(self.filter)  # is there such a filter?
         one_of("metric", self.metric, METRICS)
         one_of("sampler", self.sampler, SAMPLERS)
         for name in ("trials", "runs", "select_runs", "report_runs", "steps", "workers"):
@@ -116,7 +122,7 @@ class Settings:
         positive_int("batch", self.batch)
         self._check_source()
         if self.measure is not None:
-            find_measure(self.half, self.measure)
+            find_measure(self.problem, self.measure)
         free, fixed = self.parameters(), self.fixed()
         if not free:
             raise ValueError(f"filter {self.filter!r} has nothing to tune: choose another.")
@@ -138,12 +144,23 @@ class Settings:
         for path in (*self.log, *self.report_log):
             if not path.exists():
                 raise FileNotFoundError(f"no log at {path}: give the path of a file.")
-        both = {name.partition("/")[0] for name in self.scenario}
-        if self.simulated and both != {self.half}:
-            raise ValueError(
-                f"filter {self.filter!r} and scenario {', '.join(self.scenario)} are of different "
-                f"halves: choose a scenario of {self.half}/…, or another filter."
-            )
+        if self.log:
+            one_of("format", self.format, formats())
+        self._check_problem()
+
+    def _check_problem(self) -> None:
+        """ValueError unless the filter and what it is tuned on are of one problem."""
+        asked = {problem_of(name).name for name in self.scenario} if self.simulated else set()
+        if self.filter in self.problem.filters and len(asked) < 2:
+            return
+        able = " or ".join(f"{p.name}/…" for p in problems_with(self.filter))
+        what = f"scenario {', '.join(self.scenario)}"
+        if not self.simulated:
+            what = f"logs of format {self.format!r}" if self.log else f"the tracks in {self.akit}"
+        raise ValueError(
+            f"filter {self.filter!r} and {what} are of different problems: choose recordings of "
+            f"{able}, or another filter."
+        )
 
     @property
     def simulated(self) -> bool:
@@ -151,17 +168,19 @@ class Settings:
         return not self.log and self.akit is None
 
     @property
-    def half(self) -> str:
-        """Whether an AUV or a deck is filtered."""
-        if self.filter in CATALOGUE and self.filter in DECK_CATALOGUE:
-            return self.scenario[0].partition("/")[0]
-        return "deck" if self.filter in DECK_CATALOGUE else "auv"
+    def problem(self) -> Problem:
+        """Whose filter is tuned: that of the tracks, of the logs' format, or of the scenario."""
+        if self.akit is not None:
+            return next(p for p in problems() if p.tracks is not None and p.tracks.name == "akit")
+        if self.log:
+            return next(p for p in problems() if self.format in p.readers)
+        return problem_of(self.scenario[0])
 
     @property
     def amount(self) -> Amount:
         """How much is run, defaults filled in."""
         given = {n: getattr(self, n) for n in ("trials", "runs", "select_runs", "report_runs")}
-        usual = AMOUNTS[self.half] if self.akit is None else TRACKS
+        usual = self.problem.study.amount if self.akit is None else ON_TRACKS
         return dataclasses.replace(usual, **{n: v for n, v in given.items() if v is not None})
 
     @property
@@ -174,10 +193,10 @@ class Settings:
 
         Raises ValueError for an unknown name, an empty range, nothing to vary.
         """
-        whole = parameter_space(self.filter, deck=self.half == "deck")
+        whole, usual = self.problem.find(self.filter).space, self.problem.study.free
         names = self.free
-        if not names and self.simulated and "vb_iterations" in whole.names:
-            names = tuple(n for n in STEERED if n in whole.names)
+        if not names and self.simulated and usual and usual[0] in whole.names:
+            names = tuple(n for n in usual if n in whole.names)
         if not names or names == (ALL,):
             names = whole.names
         names = tuple(n for n in names if n not in self.fix or n in self.free)
@@ -190,7 +209,7 @@ class Settings:
 
     def fixed(self) -> dict[str, Any]:
         """Parameters held at a value of their own."""
-        whole = parameter_space(self.filter, deck=self.half == "deck")
+        whole = self.problem.find(self.filter).space
         return {name: whole[name].show(whole[name].check(_read(v))) for name, v in self.fix.items()}
 
 

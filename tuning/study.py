@@ -31,10 +31,10 @@ from optuna.trial import FrozenTrial, TrialState
 from tqdm import tqdm
 
 from navgym._checks import one_of, positive_int
+from navgym.metrics.measures import METRICS
 from navgym.parameters import ParameterSpace
 from tuning import racing
 from tuning.identity import enqueue, open_study
-from tuning.measures import METRICS
 from tuning.objective import Evaluation, Goal, InstanceGoal
 from tuning.search_space import SAMPLERS, distributions, from_optuna, sampler_of
 from tuning.storage import (

@@ -11,22 +11,23 @@ from typing import Any
 
 from tqdm import tqdm
 
-from navgym.filters.catalogue import CATALOGUE, DECK_CATALOGUE
-from navgym.scenarios import CATALOGUE as SCENARIOS
-from navgym.scenarios import DECK_CATALOGUE as DECK_SCENARIOS
+from navgym.metrics.measures import CONSISTENCY, LIKELIHOOD
+from navgym.simulation import find_scenario
 from navgym.tuned import read_tuned
 from tuning import racing
+from tuning.cases import Cases
 from tuning.comparison import Comparison, Entry, compare
 from tuning.executors import workers
-from tuning.material import Material, material
-from tuning.objective import AnyCases, Costed, InstanceGoal, Objective, Pooled
+from tuning.objective import Costed, InstanceGoal, Objective, Pooled, find_measure
 from tuning.selection import TOP, confirm
 from tuning.sensitivity import Sweep, importances, sweeps
-from tuning.settings import Settings
+from tuning.settings import StudySettings
+from tuning.stages import Stages, stages
 from tuning.study import Outcome, Search, Trial, search
 
 DEFAULT, TUNED = "{}, default", "{}, tuned"
 KNOWN, TRUTH = "{}, best known", "{}, tuned with the truth"
+NEED_NO_TRUTH = (LIKELIHOOD.name, CONSISTENCY.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,17 +39,17 @@ class Findings:
         goal: what was minimised.
         outcome: the trials.
         chosen: the winner; its result is that on the recordings that chose it.
-        material: the recordings.
+        stages: the recordings.
         reports: comparisons on fresh recordings, by name; the tuned filter is one of the entries.
         sweeps: around the winner, on the recordings that chose it.
         importances: of the free parameters, from the trials.
     """
 
-    settings: Settings
+    settings: StudySettings
     goal: InstanceGoal
     outcome: Outcome
     chosen: Trial
-    material: Material
+    stages: Stages
     reports: Mapping[str, Comparison]
     sweeps: Sequence[Sweep]
     importances: Mapping[str, float]
@@ -77,7 +78,7 @@ class Interrupted(Exception):  # noqa: N818 - it is no error
         self.outcome = outcome
 
 
-def run(settings: Settings) -> Findings:
+def run(settings: StudySettings) -> Findings:
     """The whole of it.
 
     Raises:
@@ -86,7 +87,7 @@ def run(settings: Settings) -> Findings:
         OSError: files or storage that cannot be read or written.
     """
     with workers(settings.processes, settings.scheduler) as executor:
-        made = material(settings)
+        made = stages(settings)
         goal = goal_of(settings, made.train)
         outcome = _study(settings, goal, executor, "tuning", _storage(settings))
         fresh = goal_of(settings, made.select)
@@ -101,7 +102,7 @@ def run(settings: Settings) -> Findings:
         return Findings(settings, goal, outcome, chosen, made, reports, found, shares)
 
 
-def _storage(settings: Settings) -> Path | str:
+def _storage(settings: StudySettings) -> Path | str:
     if settings.storage is None:
         return settings.out / "study.log"
     return settings.storage if "://" in settings.storage else Path(settings.storage)
@@ -111,7 +112,7 @@ def _storage(settings: Settings) -> Path | str:
 
 
 def goal_of(
-    settings: Settings, cases: Mapping[str, AnyCases], measure: str | None = None
+    settings: StudySettings, cases: Mapping[str, Cases], measure: str | None = None
 ) -> InstanceGoal:
     """What `settings` ask to minimise, over some recordings.
 
@@ -121,7 +122,7 @@ def goal_of(
         measure: another one than the settings'.
     """
     blind = settings.akit is not None or any(not c.has_truth for c in cases.values())
-    usual = "likelihood" if blind else None
+    usual = LIKELIHOOD.name if blind else None
     members = [
         Objective(
             settings.filter, settings.parameters(), each, settings.metric, settings.fixed(),
@@ -134,7 +135,7 @@ def goal_of(
 
 
 def _study(
-    settings: Settings, goal: InstanceGoal, executor: Executor | None, label: str, where: Any
+    settings: StudySettings, goal: InstanceGoal, executor: Executor | None, label: str, where: Any
 ) -> Outcome:
     how = Search(
         settings.amount.trials, settings.seed, settings.sampler, settings.batch,
@@ -148,7 +149,7 @@ def _study(
     return outcome
 
 
-def _first(settings: Settings) -> list[dict[str, Any]]:
+def _first(settings: StudySettings) -> list[dict[str, Any]]:
     """Parameter sets to try early: an earlier result, and the best known of the scenarios."""
     sets: list[Mapping[str, Any]] = []
     if settings.start is not None:
@@ -162,7 +163,7 @@ def _first(settings: Settings) -> list[dict[str, Any]]:
     return [_inside(settings, values) for values in sets]
 
 
-def _inside(settings: Settings, values: Mapping[str, Any]) -> dict[str, Any]:
+def _inside(settings: StudySettings, values: Mapping[str, Any]) -> dict[str, Any]:
     """`values` of the free parameters, moved inside their ranges."""
     moved = {}
     for p in settings.parameters():
@@ -196,17 +197,18 @@ def _sweep(fresh: InstanceGoal, chosen: Trial, executor: Executor | None) -> lis
 
 
 def _with_truth(
-    settings: Settings, made: Material, executor: Executor | None
+    settings: StudySettings, made: Stages, executor: Executor | None
 ) -> dict[str, dict[str, Any]]:
     """For logs that were tuned blind though their truth is known: what the truth would have found."""
-    blind = settings.akit is not None and settings.measure in (None, "likelihood", "consistency")
+    blind = settings.akit is not None and settings.measure in (None, *NEED_NO_TRUTH)
     if not blind:
         return {}
-    usual = goal_of(settings, made.train, "rmse")
+    seeing = find_measure(settings.problem, None).name
+    usual = goal_of(settings, made.train, seeing)
     where = _storage(settings)
     beside = where.with_name(f"truth-{where.name}") if isinstance(where, Path) else None
     outcome = _study(settings, usual, executor, "tuning with the truth, to compare", beside)
-    best = choose(outcome, goal_of(settings, made.select, "rmse"), executor)
+    best = choose(outcome, goal_of(settings, made.select, seeing), executor)
     return {TRUTH.format(settings.filter): settings.fixed() | dict(best.values)}
 
 
@@ -214,7 +216,7 @@ def _with_truth(
 
 
 def _report(
-    settings: Settings, name: str, cases: AnyCases, chosen: Trial, extra: Mapping[str, Any]
+    settings: StudySettings, name: str, cases: Cases, chosen: Trial, extra: Mapping[str, Any]
 ) -> Comparison:
     """The tuned filter among others on fresh recordings, judged by the truth where there is one."""
     own = settings.filter
@@ -226,9 +228,9 @@ def _report(
         *_known(settings, name),
         *_others(settings, cases),
     ]
-    usual = None if cases.has_truth else "likelihood"
+    usual = None if cases.has_truth else LIKELIHOOD.name
     measure = settings.measure if settings.measure and cases.has_truth else usual
-    if measure in ("likelihood", "consistency") and cases.has_truth:
+    if measure in NEED_NO_TRUTH and cases.has_truth:
         measure = None
     keep = (DEFAULT.format(own), TUNED.format(own))
     return compare(
@@ -237,29 +239,22 @@ def _report(
     )  # fmt: skip
 
 
-def _known(settings: Settings, name: str) -> list[Entry]:
+def _known(settings: StudySettings, name: str) -> list[Entry]:
     """The scenario's reference parameters, if they are for this filter."""
     if not settings.simulated or settings.overrides:
         return []
-    short = name.partition("/")[2]
-    catalogue: Mapping[str, Any] = DECK_SCENARIOS if settings.half == "deck" else SCENARIOS
-    values = dict(catalogue[short].reference)
-    space = {p.name for p in (DECK_CATALOGUE | CATALOGUE)[settings.filter].space}  # type: ignore[operator]
-    fits = (
-        values and set(values) <= space and (settings.half == "deck" or settings.filter == "qivbf")
-    )
-    return [Entry(KNOWN.format(settings.filter), settings.filter, values)] if fits else []
+    own, study = settings.filter, settings.problem.study
+    values = dict(find_scenario(name).reference)
+    space = settings.problem.find(own).space
+    fits = values and set(values) <= set(space.names) and own in study.referred
+    return [Entry(KNOWN.format(own), own, values)] if fits else []
 
 
-def _others(settings: Settings, cases: AnyCases) -> list[Entry]:
+def _others(settings: StudySettings, cases: Cases) -> list[Entry]:
     """What stands beside it: the plain filter, what needs no tuning, and the bound."""
-    if settings.half == "deck":
-        names = ["alignment", "alignment_mcc", "idam"]
-    elif cases.plain == "kf":
-        names = ["kf", "imm", "imm_wide", "bank"]
-    else:
-        names = ["ekf", "ukf", "ckf"]
+    problem, linear = settings.problem, cases.batch.linear
+    names = [n for n in problem.study.beside if problem.filters[n].nonlinear != linear]
     others = [Entry(n, n) for n in names if n != settings.filter or n == cases.plain]
-    if settings.simulated and cases.plain != "ekf":
-        others.append(Entry(cases.bound_filter, cases.bound_filter, bound=True))
+    if settings.simulated and (linear or problem.filters[problem.bound].nonlinear):
+        others.append(Entry(problem.bound, problem.bound, bound=True))
     return others

@@ -10,14 +10,13 @@ import numpy as np
 import tomli_w
 
 from navgym._checks import Array
-from navgym.estimation import parameter_space
 from tuning import declared, plots, report, study_plots, tables, words
+from tuning.cases import Cases
 from tuning.comparison import Comparison
-from tuning.deck_cases import DeckCases
-from tuning.objective import AnyCases, Costed, Objective, Pooled
+from tuning.objective import Costed, Objective, Pooled
 from tuning.report import Figure, Page, Section, Table, Tile
 from tuning.sensitivity import FLAT, Sweep
-from tuning.settings import Settings
+from tuning.settings import StudySettings
 from tuning.storage import shown
 from tuning.study import Outcome
 from tuning.tune import Findings
@@ -40,7 +39,7 @@ def provenance(found: Findings) -> dict[str, Any]:
     settings = found.settings
     where = shown(settings.storage) if settings.storage else str(settings.out / "study.log")
     return report.provenance(
-        "tune.py", seeds=found.material.split, sampler=f"{settings.sampler}, seed {settings.seed}",
+        "tune.py", seeds=found.stages.split, sampler=f"{settings.sampler}, seed {settings.seed}",
         study=where,
     )  # fmt: skip
 
@@ -56,7 +55,7 @@ def summary(found: Findings) -> str:
     return "\n".join(parts)
 
 
-def so_far(settings: Settings, outcome: Outcome) -> str:
+def so_far(settings: StudySettings, outcome: Outcome) -> str:
     """For a study that was interrupted."""
     best = outcome.best
     return (
@@ -143,7 +142,7 @@ def _sweep(s: Sweep) -> dict[str, Any]:
 def page(found: Findings, basis: Mapping[str, Any]) -> Page:
     """The report."""
     settings = found.settings
-    where = ", ".join(found.material.train)
+    where = ", ".join(found.stages.train)
     return Page(
         f"Parameters of {settings.filter} for {where}",
         [*(_verdict(found, name) for name in found.reports), f"{_how(found)}"],
@@ -167,7 +166,7 @@ def _verdict(found: Findings, name: str) -> str:
 def _how(found: Findings) -> str:
     return (
         f"{len(found.outcome.trials)} trials ({sum(t.given_up for t in found.outcome.trials)} given up "
-        f"on the way) minimised the {found.goal.metric} of the runs' {_axis(found)}; {found.material.split}. "
+        f"on the way) minimised the {found.goal.metric} of the runs' {_axis(found)}; {found.stages.split}. "
         "No recording, seed or stretch of a log serves two of these."
     )
 
@@ -207,22 +206,16 @@ def _comparison(found: Findings, name: str, c: Comparison) -> Section:
         "this machine's."
     )
     items: list[Table | Figure] = [bars, tables.ladder(c, (found.tuned,), note)]
-    items.append(_over_time(found, c, found.material.report[name]))
+    items.append(_over_time(found, c, found.stages.report[name]))
     return Section(f"On fresh data: {name}", [], items)
 
 
-def _over_time(found: Findings, c: Comparison, cases: AnyCases) -> Figure:
-    part = c.measure.parts[0]
-    if isinstance(cases, DeckCases):
-        time = cases.recordings[0].step_time
-    else:
-        time = np.asarray(cases.batch.time[0])
+def _over_time(found: Findings, c: Comparison, cases: Cases) -> Figure:
+    quantity = c.measure.parts[0]
+    time = np.asarray(cases.batch.time_of(int(np.argmax(cases.batch.lengths))))
     traces: dict[str, Array] = {
         label: c.squared[label][:, : len(time)] for label in (found.default, found.tuned)
     }
-    from tuning.measures import QUANTITIES
-
-    quantity = QUANTITIES[part]
     axis = f"{quantity.label}, {quantity.unit}" if quantity.unit else quantity.label
     colors = {found.default: plots.PLAIN, found.tuned: plots.OWN}
     caption = f"{quantity.label} over time, over all fresh recordings, with 95 % bands over runs."
@@ -230,7 +223,7 @@ def _over_time(found: Findings, c: Comparison, cases: AnyCases) -> Figure:
 
 
 def _parameters(found: Findings) -> Section:
-    space = parameter_space(found.settings.filter, deck=found.settings.half == "deck")
+    space = found.settings.problem.find(found.settings.filter).space
     sets: dict[str, Mapping[str, Any]] = {
         "default": space.defaults, "tuned": space.defaults | found.values,
     }  # fmt: skip

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
-from navgym.envs.engine import Engine, Settings
-from navgym.envs.faces import LaneEnv, LaneVectorEnv, checked_render_mode, vector_arguments
-from navgym.filters import spaces
+from navgym.auv.settings import AUVDropoutSettings
+from navgym.envs.engine import Engine
+from navgym.envs.faces import LaneEnv, LaneVectorEnv
 
 
 class AUVDropoutEnv(LaneEnv):
@@ -81,23 +80,7 @@ class AUVDropoutEnv(LaneEnv):
     parameter of the filter in physical units. `reset` returns what the recording is.
 
     ## Arguments
-    Args:
-        scenario: name (see `navgym.scenarios()`), scenario, or a list to draw from at each reset.
-        overrides: fields of the scenario to change, for example `{{"loss": 0.3}}`.
-        split: seeds to draw recordings from: "train", "validation" or "test".
-        pool: simulate this many recordings once and draw from them; None makes a new one at each
-            reset. About 0.3 MB per 800 samples.
-        recordings: replay these instead of simulating.
-        recording: the same for a single one.
-        decision_interval: samples per step.
-        action_parameters: what the agent sets; the rest stays at the reference's.
-        action: "absolute" or "residual".
-        reference: parameters of the reference filter; by default the scenario's best fixed ones,
-            or the filter's defaults for recordings of your own. With several scenarios each has
-            its own; residual actions start from the first one's.
-        reward: "difference", "relative", "over-oracle", "absolute" or "likelihood".
-        reward_clip: bound on the reward.
-        render_mode: "rgb_array", "human" or None.
+    {arguments}
 
     ```python
     >>> import gymnasium, navgym
@@ -113,32 +96,12 @@ class AUVDropoutEnv(LaneEnv):
     * v0: first version
     """
 
-    def __init__(
-        self,
-        scenario: Any = "auv/switch-D",
-        overrides: Mapping[str, Any] | None = None,
-        split: str = "train",
-        pool: int | None = None,
-        recordings: Sequence[Any] | None = None,
-        recording: Any = None,
-        decision_interval: int = 5,
-        action_parameters: Sequence[str] = Settings.action_parameters,
-        action: str = "absolute",
-        reference: Mapping[str, Any] | None = None,
-        reward: str = "difference",
-        reward_clip: float = 20.0,
-        render_mode: str | None = None,
-    ) -> None:
-        mode = checked_render_mode(render_mode)
-        settings = Settings(
-            scenario, overrides, split, pool, recording if recordings is None else recordings, decision_interval,
-            action_parameters, action, reference, reward, reward_clip,
-        )  # fmt: skip
-        super().__init__(Engine(settings, 1, trail=mode is not None), mode)
+    SETTINGS = AUVDropoutSettings
+    ENGINE = Engine
 
     def new_painter(self, mode: str) -> Any:
         """Track, estimate, covariance ellipse, lost samples and parameters."""
-        from navgym.envs.rendering import Painter
+        from navgym.auv.painter import Painter
 
         return Painter(mode)
 
@@ -152,13 +115,5 @@ class AUVDropoutVectorEnv(LaneVectorEnv):
         arguments: those of `AUVDropoutEnv`.
     """
 
-    def __init__(
-        self, num_envs: int = 1, max_episode_steps: int | None = None, **arguments: Any
-    ) -> None:
-        settings = Settings(**vector_arguments(arguments))
-        super().__init__(Engine(settings, num_envs), max_episode_steps)
-
-
-if AUVDropoutEnv.__doc__:  # absent under python -OO
-    _table = spaces.QIVBF.markdown().replace("\n", "\n    ")
-    AUVDropoutEnv.__doc__ = AUVDropoutEnv.__doc__.format(parameters=_table)
+    SETTINGS = AUVDropoutSettings
+    ENGINE = Engine

@@ -16,10 +16,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navgym._checks import Array, one_of, positive_int
+from navgym._checks import Array, positive_int
 from navgym._compile import entry
 from navgym.envs.actions import action_table
-from navgym.parameters import ParameterSpace
+from navgym.envs.settings import LaneSettings
 from navgym.scenarios.seeds import SIZE, seeds
 from navgym.simulation import find_scenario, simulate_many
 from navgym.tuned import read_tuned
@@ -31,50 +31,6 @@ REWARD, TERMINATED, TRUNCATED, INFORMATION = range(4)
 # controlled filter, its degrees of freedom, and how well both filters foretold what came in
 HEARD, NIS_SUM, FREEDOM, SCORE, REFERENCE_SCORE = range(5)
 TALLY = 5
-
-
-@dataclass(frozen=True)
-class LaneSettings:
-    """What an environment is made of; its class explains each argument."""
-
-    scenario: Any
-    overrides: Mapping[str, Any] | None = None
-    split: str = "train"
-    pool: int | None = None
-    recordings: Any = None  # a recording or several
-    decision_interval: int = 1
-    action_parameters: str | Sequence[str] = ()
-    action: str = "absolute"
-    reference: Mapping[str, Any] | str | os.PathLike[str] | None = None
-    reward: str = ""
-    reward_clip: float = 20.0
-
-    FILTER: ClassVar[str]  # whose parameters the agent sets
-    SPACE: ClassVar[ParameterSpace]
-    REWARDS: ClassVar[tuple[str, ...]]
-    RECORDING: ClassVar[type]
-    SCENARIO: ClassVar[type]
-
-    def __post_init__(self) -> None:
-        positive_int("decision_interval", self.decision_interval)
-        one_of("action", self.action, ("absolute", "residual"))
-        one_of("reward", self.reward, self.REWARDS)
-        seeds(self.split, 0)
-        if not self.reward_clip > 0.0:
-            raise ValueError(f"reward_clip must be positive, got {self.reward_clip}.")
-        if self.pool is not None:
-            positive_int("pool", self.pool)
-        given = self.action_parameters
-        names = (given,) if isinstance(given, str) else tuple(given)
-        space = self.SPACE.subset(names)
-        if not names or len(set(names)) != len(names):
-            raise ValueError(f"action_parameters must be one or more distinct names, got {names}.")
-        if isinstance(self.recordings, self.RECORDING):
-            object.__setattr__(self, "recordings", (self.recordings,))
-        for p in space:
-            if p.at_start:
-                raise ValueError(f"{p.name} acts at the start only: set it through `reference=`.")
-        object.__setattr__(self, "action_parameters", names)
 
 
 @dataclass(eq=False)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
-from navgym.envs.deck_engine import DeckEngine, DeckSettings
-from navgym.envs.faces import LaneEnv, LaneVectorEnv, checked_render_mode, vector_arguments
-from navgym.filters import spaces
+from navgym.deck.settings import DeckDeformationSettings
+from navgym.envs.deck_engine import DeckEngine
+from navgym.envs.faces import LaneEnv, LaneVectorEnv
 
 
 class DeckDeformationEnv(LaneEnv):
@@ -83,27 +82,7 @@ class DeckDeformationEnv(LaneEnv):
     before clipping, and every parameter in physical units. `reset` returns what the recording is.
 
     ## Arguments
-    Args:
-        scenario: name (see `navgym.scenarios()`), scenario, or a list to draw from at each reset.
-        overrides: fields of the scenario to change, for example `{{"lever_error": 0.1}}`.
-        split: seeds to draw recordings from: "train", "validation" or "test".
-        pool: simulate this many recordings once and draw from them; None makes a new one at each
-            reset, which takes longer than filtering it. 7.3 kB per second of recording.
-        recordings: replay these (`navgym.DualIMURecording`) instead of simulating.
-        recording: the same for a single one.
-        decision_interval: filter steps per decision; 20 are one second.
-        action_parameters: what the agent sets; the rest stays at the reference's.
-        action: "absolute" or "residual".
-        reference: parameters of the reference filter; by default the scenario's best fixed ones,
-            or the filter's defaults for recordings of your own. With several scenarios each has
-            its own; residual actions start from the first one's.
-        reward: "composite", "absolute" or "likelihood".
-        reward_clip: bound on the reward.
-        features: "all", or "gyro" to leave the velocity channels out of the observation.
-        warmup: s that the reference filter runs before the first decision.
-        ac_weight: of the fast part of θ in the composite reward.
-        theta_price: of a θ worse than the reference's.
-        render_mode: "rgb_array", "human" or None.
+    {arguments}
 
     ```python
     >>> import gymnasium, navgym
@@ -119,32 +98,8 @@ class DeckDeformationEnv(LaneEnv):
     * v0: first version
     """
 
-    def __init__(
-        self,
-        scenario: Any = "deck/switch-60",
-        overrides: Mapping[str, Any] | None = None,
-        split: str = "train",
-        pool: int | None = None,
-        recordings: Sequence[Any] | None = None,
-        recording: Any = None,
-        decision_interval: int = 20,
-        action_parameters: Sequence[str] = DeckSettings.action_parameters,
-        action: str = "absolute",
-        reference: Mapping[str, Any] | None = None,
-        reward: str = "composite",
-        reward_clip: float = 20.0,
-        features: str = "all",
-        warmup: float = 60.0,
-        ac_weight: float = 0.5,
-        theta_price: float = 1.0,
-        render_mode: str | None = None,
-    ) -> None:
-        mode = checked_render_mode(render_mode)
-        settings = DeckSettings(
-            scenario, overrides, split, pool, recording if recordings is None else recordings, decision_interval,
-            action_parameters, action, reference, reward, reward_clip, features, warmup, ac_weight, theta_price,
-        )  # fmt: skip
-        super().__init__(DeckEngine(settings, 1, trail=mode is not None), mode)
+    SETTINGS = DeckDeformationSettings
+    ENGINE = DeckEngine
 
     def new_painter(self, mode: str) -> Any:
         """Strips of θ with its bound, θ̇, kernel weights, parameters and sea state."""
@@ -162,13 +117,5 @@ class DeckDeformationVectorEnv(LaneVectorEnv):
         arguments: those of `DeckDeformationEnv`.
     """
 
-    def __init__(
-        self, num_envs: int = 1, max_episode_steps: int | None = None, **arguments: Any
-    ) -> None:
-        settings = DeckSettings(**vector_arguments(arguments))
-        super().__init__(DeckEngine(settings, num_envs), max_episode_steps)
-
-
-if DeckDeformationEnv.__doc__:  # absent under python -OO
-    _table = spaces.IDAM.markdown().replace("\n", "\n    ")
-    DeckDeformationEnv.__doc__ = DeckDeformationEnv.__doc__.format(parameters=_table)
+    SETTINGS = DeckDeformationSettings
+    ENGINE = DeckEngine

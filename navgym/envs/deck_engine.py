@@ -3,60 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navgym._checks import Array, one_of, within
+from navgym._checks import Array
+from navgym.deck import spaces
+from navgym.deck.catalogue import Deck
+from navgym.deck.settings import FEATURES, DeckDeformationSettings
 from navgym.deck_batch import DeckBatch
 from navgym.dual_imu import DualIMURecording
 from navgym.envs import deck_kernels as K
 from navgym.envs.actions import LIMIT
-from navgym.envs.base import TERMINATED, LaneEngine, LaneSettings, Shelf
-from navgym.filters import alignment, alignment_model, spaces
-from navgym.filters.catalogue import Deck
+from navgym.envs.base import TERMINATED, LaneEngine, Shelf
+from navgym.filters import alignment, alignment_model
 from navgym.filters.deck import columns_of, full_table, identify_lane
 from navgym.filters.mechanization import TAPE
 from navgym.flexure import FlexureModel
-from navgym.scenarios.deck import DeckScenario
 
-FEATURES = ("all", "gyro")
 SIGNALS = ("alarm", "persistence", "rejected")
 WINDOW = spaces.IDAM.index("identification_window")
 SCALE = spaces.IDAM.index("rvm_kernel_scale")
-
-
-@dataclass(frozen=True)
-class DeckSettings(LaneSettings):
-    """What a deck environment is made of; see `DeckDeformationEnv` for each argument."""
-
-    scenario: str | DeckScenario | Sequence[str | DeckScenario] = "deck/switch-60"
-    decision_interval: int = 20
-    action_parameters: str | Sequence[str] = ("kernel_width", "velocity_noise")
-    reward: str = "composite"
-    features: str = "all"
-    warmup: float = 60.0
-    ac_weight: float = 0.5
-    theta_price: float = 1.0
-
-    FILTER = "idam"
-    SPACE = spaces.IDAM
-    REWARDS = ("composite", "absolute", "likelihood")
-    RECORDING = DualIMURecording
-    SCENARIO = DeckScenario
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        one_of("features", self.features, FEATURES)
-        for name in ("warmup", "ac_weight", "theta_price"):
-            within(name, getattr(self, name), 0.0)
-
-    @property
-    def identifies(self) -> bool:
-        """Whether lanes identify the flexure anew on the way: where the agent sets how."""
-        return "rvm_kernel_scale" in self.action_parameters
 
 
 class DeckEngine(LaneEngine):
@@ -65,7 +33,7 @@ class DeckEngine(LaneEngine):
     Memory: a recording of T seconds at 20 Hz takes T · 7.3 kB on the shelf; a lane takes 13 kB.
     """
 
-    settings: DeckSettings
+    settings: DeckDeformationSettings
     INFO_NAMES: ClassVar[tuple[str, ...]] = (
         "theta_rate_rmse", "reference_theta_rate_rmse", "theta_ac_rmse", "reference_theta_ac_rmse",
         "theta_rmse", "reference_theta_rmse", "weight", "power", "regime", "reward_term",
@@ -232,7 +200,7 @@ class DeckEngine(LaneEngine):
         )  # fmt: skip
 
 
-def observation_names(settings: DeckSettings) -> tuple[str, ...]:
+def observation_names(settings: DeckDeformationSettings) -> tuple[str, ...]:
     """One name per element of an observation of such an environment."""
     groups = ("velocity", "rate") if settings.features == "all" else ("rate",)
     found = [
@@ -244,7 +212,7 @@ def observation_names(settings: DeckSettings) -> tuple[str, ...]:
     return (*found, "sea.10s", "sea.60s", *own)
 
 
-def rule_of(settings: DeckSettings) -> NDArray[Any]:
+def rule_of(settings: DeckDeformationSettings) -> NDArray[Any]:
     """The kernels' rule (1,)."""
     rule = np.zeros(1, K.RULE)
     rule["interval"] = settings.decision_interval

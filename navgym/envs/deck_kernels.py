@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from navgym._compile import kernel, part
+from navgym.deck import spaces
 from navgym.envs.actions import bounded, foretold, log_square, place, set_parameters
 from navgym.envs.base import (
     FREEDOM,
@@ -23,7 +24,7 @@ from navgym.envs.base import (
     TERMINATED,
     TRUNCATED,
 )
-from navgym.filters import alignment, spaces
+from navgym.filters import alignment
 from navgym.filters.alignment import AT, MEASUREMENTS, STATES
 from navgym.filters.mechanization import disturb, mechanize_step
 from navgym.flexure import ARCMIN

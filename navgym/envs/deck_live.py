@@ -3,26 +3,63 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navgym._checks import Array, real_array, within
+from navgym.deck.settings import DeckDeformationSettings
 from navgym.deck_estimation import attitudes
 from navgym.deck_model import DeckModel
 from navgym.envs import deck_kernels as K
 from navgym.envs.base import TALLY
-from navgym.envs.deck_engine import DeckSettings, observation_names, rule_of, station_of
-from navgym.envs.live import LiveLane, flags, pooled
+from navgym.envs.deck_engine import observation_names, rule_of, station_of
+from navgym.envs.live import LiveEstimate, LiveLane, flags, pooled
 from navgym.filters import alignment, alignment_model
+from navgym.filters.alignment import RATE, THETA
 from navgym.filters.deck import full_table
 from navgym.filters.mechanization import TAPE, begin_lever
 
 FIRST = 3  # samples that the rate at the start is extrapolated from
 SHAPE = (4, 3)  # a sample: angle and velocity increments of the main, then of the sub IMU
+USUAL_INTERVAL = 0.01  # s between IMU samples
 LATE = 0.02  # by how much of it an IMU's step may miss the interval, as in `DualIMURecording`
+
+
+@dataclass(frozen=True, slots=True)
+class LiveDeckEstimate(LiveEstimate):
+    """The same of the deck filter, whose states are l, δV, φ, ε, ∇, V_r, θ, θ̇ (IDAM eq. 73).
+
+    Args:
+        tape: (1,) what the step's samples amounted to; see `navgym.filters.mechanization.TAPE`.
+    """
+
+    tape: NDArray[Any]
+
+    @property
+    def attitude(self) -> Array:
+        """(4,) attitude of the sub in the main IMU's axes, quaternion, scalar last."""
+        found: Array = attitudes(self.tape, self.state[None])[0][0]
+        return found
+
+    @property
+    def static(self) -> Array:
+        """(3,) rotation vector of the static deformation and mounting, rad."""
+        found: Array = attitudes(self.tape, self.state[None])[1][0]
+        return found
+
+    @property
+    def theta(self) -> Array:
+        """(3,) dynamic deformation, rad."""
+        return self.state[THETA]
+
+    @property
+    def theta_rate(self) -> Array:
+        """(3,) rad/s."""
+        return self.state[RATE]
 
 
 class LiveDeck(LiveLane):
@@ -32,7 +69,7 @@ class LiveDeck(LiveLane):
         settings: of the environment.
         reference: parameters of the reference filter; residual actions start from them.
         model: what the filters believe.
-        interval: s between IMU samples.
+        interval: s between IMU samples; 0.01 by default.
         rates: whether samples hold rates (rad/s) and specific forces (m/s²); else increments.
 
     Raises:
@@ -40,12 +77,15 @@ class LiveDeck(LiveLane):
         ValueError: an agent that sets how the flexure is identified, which live lanes don't.
     """
 
+    components = 3
+    begins_anew = True
+
     def __init__(
         self,
-        settings: DeckSettings,
+        settings: DeckDeformationSettings,
         reference: Mapping[str, Any],
         model: DeckModel,
-        interval: float,
+        interval: float | None = None,
         rates: bool = False,
     ) -> None:
         super().__init__(settings, reference, observation_names(settings))
@@ -56,8 +96,9 @@ class LiveDeck(LiveLane):
                 "action_parameters holds rvm_kernel_scale, and a live filter identifies nothing: "
                 "use a policy that sets other parameters."
             )
-        self.model, self.interval = model, within("interval", interval, 0.0, above=True)
-        self._unit = interval if rates else 1.0
+        usual = USUAL_INTERVAL if interval is None else interval
+        self.model, self.interval = model, within("interval", usual, 0.0, above=True)
+        self._unit = self.interval if rates else 1.0
         self._warmup = settings.warmup
         per = model.samples_per_step
         self._memory, parts = pooled((alignment.LANE, 2), (K.STATION, 2), (np.float64, TALLY))
@@ -86,7 +127,7 @@ class LiveDeck(LiveLane):
 
     def reset(self) -> None:
         """Begin anew with the next sample: alignment unknown, both IMUs' axes frozen there."""
-        self.time: float | None = None
+        self.time = None
         self._begin()
 
     def _begin(self) -> None:
@@ -213,10 +254,23 @@ class LiveDeck(LiveLane):
         x, P, nis = self._views[which]
         return x[0].copy(), P[0].copy(), nis.item()
 
-    @property
-    def tape(self) -> NDArray[Any]:
-        """(1,) what the last step's samples amounted to, copied."""
-        return self._tape.copy()
+    @staticmethod
+    def samples(recording: Any) -> Iterator[tuple[Array, float, dict[str, Any]]]:
+        """Samples of a `navgym.DualIMURecording`; see `LiveLane`."""
+        names = ("main_angle", "main_velocity", "sub_angle", "sub_velocity")
+        whole = np.stack([getattr(recording, name) for name in names], axis=1)
+        per, errors = recording.model.samples_per_step, recording.disturbance
+        for k in range(recording.steps * per):
+            more = {} if errors is None else {"disturbance": errors[k // per]}
+            yield whole[k], float(recording.time[k]), more
+
+    def told(
+        self, which: int, parameters: Mapping[str, Any], fallback: str | None, diverged: bool
+    ) -> LiveDeckEstimate:
+        """What the controlled or the reference filter says of the step."""
+        assert self.time is not None
+        own, tape = self.answer(which), self._tape.copy()
+        return LiveDeckEstimate(self.time, *own, parameters, fallback, diverged, tape)
 
 
 def _checked(measurement: Any, unit: float) -> Array:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from navgym.envs.rendering import ESTIMATE, LOST, TRUTH, Canvas
+from navgym.envs.canvas import ESTIMATE, LOST, TRUTH, Canvas
 from navgym.filters.alignment import STATES, THETA
 from navgym.flexure import ARCMIN
 

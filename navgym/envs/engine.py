@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,35 +12,16 @@ from navgym._checks import Array
 from navgym.batch import Batch
 from navgym.envs import kernels as K
 from navgym.envs.actions import LIMIT
-from navgym.envs.base import LaneEngine, LaneSettings, Shelf
-from navgym.filters import kalman, qivbf, spaces
+from navgym.envs.base import LaneEngine, Shelf
+from navgym.filters import kalman, qivbf
 from navgym.models import LinearModel
 from navgym.recording import Recording
-from navgym.scenarios.auv import AUVScenario
 
 COMMON_NAMES = (
     "curvature", "lost", "since_received", "noise_position", "noise_velocity", "widening", "change",
 )  # fmt: skip
 # measure errors by what a filter reaches that knows all
 ORACLE_REWARDS = ("over-oracle", "relative")
-
-
-@dataclass(frozen=True)
-class Settings(LaneSettings):
-    """What an AUV environment is made of; see `AUVDropoutEnv` for each argument."""
-
-    scenario: str | AUVScenario | Sequence[str | AUVScenario] = "auv/switch-D"
-    decision_interval: int = 5
-    action_parameters: str | Sequence[str] = (
-        "vb_iterations", "prior_count", "forgetting", "process_noise_scale",
-    )  # fmt: skip
-    reward: str = "difference"
-
-    FILTER = "qivbf"
-    SPACE = spaces.QIVBF
-    REWARDS = ("difference", "over-oracle", "absolute", "likelihood", "relative")
-    RECORDING = Recording
-    SCENARIO = AUVScenario
 
 
 class Engine(LaneEngine):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from navgym._checks import one_of
 from navgym.envs.base import INFORMATION, REWARD, TERMINATED, TRUNCATED, LaneEngine
+from navgym.envs.settings import LaneSettings, argument_manual, signature
 
 Observation = NDArray[np.float32]
 RENDER_MODES = ("human", "rgb_array")
@@ -22,16 +23,32 @@ RENDER_MODES = ("human", "rgb_array")
 class LaneEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     """One lane of an engine as a Gymnasium environment.
 
+    A kind of environment names its settings, whose fields are its arguments, and its engine; its
+    docstring is its manual, where `{parameters}` and `{arguments}` stand for what these declare.
+
     Args:
-        engine: with one lane.
         render_mode: "rgb_array", "human" or None.
+        arguments: those of the settings; `recording` stands for a single one of `recordings`.
     """
+
+    SETTINGS: ClassVar[type[LaneSettings]]
+    ENGINE: ClassVar[type[LaneEngine]]
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # noqa: RUF012
 
-    def __init__(self, engine: LaneEngine, render_mode: str | None) -> None:
-        self.render_mode = render_mode
-        self.engine = engine
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        cls.__signature__ = signature(cls.SETTINGS)  # type: ignore[attr-defined]
+        if cls.__doc__:  # absent under python -OO
+            table = cls.SETTINGS.SPACE.markdown().replace("\n", "\n    ")
+            cls.__doc__ = cls.__doc__.format(
+                parameters=table, arguments=argument_manual(cls.SETTINGS)
+            )
+
+    def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
+        self.render_mode = checked_render_mode(render_mode)
+        settings = self.SETTINGS(**setting_arguments(arguments))
+        self.engine = engine = self.ENGINE(settings, 1, trail=render_mode is not None)
         self.observation_space, self.action_space = spaces_of(engine)
         self._obs_shape = (1, *(self.observation_space.shape or ()))
         self._over = True
@@ -105,15 +122,23 @@ class LaneVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
     reset by the next `step`, whose action for it is ignored (`AutoresetMode.NEXT_STEP`).
 
     Args:
-        engine: with as many lanes as there shall be environments.
+        num_envs: number of lanes.
         max_episode_steps: truncate episodes after this many decisions, or None.
+        arguments: those of the single environment, but for `render_mode`.
     """
+
+    SETTINGS: ClassVar[type[LaneSettings]]
+    ENGINE: ClassVar[type[LaneEngine]]
 
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
-    def __init__(self, engine: LaneEngine, max_episode_steps: int | None) -> None:
-        self.engine = engine
-        self.num_envs = num_envs = engine.count
+    def __init__(
+        self, num_envs: int = 1, max_episode_steps: int | None = None, **arguments: Any
+    ) -> None:
+        if arguments.pop("render_mode", None) is not None:
+            raise ValueError("the vector environment does not render: use gym.make for one lane.")
+        self.engine = self.ENGINE(self.SETTINGS(**setting_arguments(arguments)), num_envs)
+        self.num_envs = num_envs
         self.render_mode = None
         self.single_observation_space, self.single_action_space = spaces_of(self.engine)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -215,10 +240,8 @@ def checked_render_mode(render_mode: str | None) -> str | None:
     return render_mode
 
 
-def vector_arguments(arguments: dict[str, Any]) -> dict[str, Any]:
-    """Arguments of the single environment as those of its settings."""
-    if arguments.pop("render_mode", None) is not None:
-        raise ValueError("the vector environment does not render: use gym.make for one lane.")
+def setting_arguments(arguments: dict[str, Any]) -> dict[str, Any]:
+    """Arguments of an environment as those of its settings."""
     own = arguments.pop("recording", None)
     if own is not None:
         if arguments.get("recordings") is not None:

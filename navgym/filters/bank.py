@@ -41,7 +41,7 @@ from navgym.health import NUMERICAL, settle
 from navgym.models import record
 
 if TYPE_CHECKING:
-    from navgym.filters.catalogue import Filter
+    from navgym.problem import Filter
 
 # columns of a parameter array
 PROCESS, MEASUREMENT, SCALE_STAY, REGIME_STAY, OUTLIER_RATE = range(5)

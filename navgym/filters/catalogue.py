@@ -1,38 +1,12 @@
-"""Every filter by name: what it is, what can be tuned, and the kernel that runs it."""
+"""Every filter of state-space models by name."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
 
 from navgym.filters import spaces
-from navgym.parameters import ParameterSpace
-
-
-@dataclass(frozen=True)
-class Filter:
-    """One entry of the catalogue.
-
-    Args:
-        name: as given to `navgym.estimate`.
-        summary: one line for listings.
-        space: what can be tuned.
-        family: name of the module in `navgym.filters` that holds its kernels.
-        option: what the family's kernels need to know beyond parameters (a fill, a mode set).
-        needs_scales: whether it reads the true noise scales of a simulated recording.
-        nonlinear: whether it takes any model, and not only a LinearModel.
-    """
-
-    name: str
-    summary: str
-    space: ParameterSpace
-    family: str
-    option: Any = 0
-    needs_scales: bool = False
-    nonlinear: bool = False
-
+from navgym.problem import Filter
 
 _ALL = (
     Filter("kf", "Kalman filter, predicts only where a measurement is lost", spaces.KALMAN, "kalman", 0),
@@ -53,35 +27,5 @@ _ALL = (
     Filter("cukf", "unscented and cubature stages in turn: CUKF, corrected", spaces.SIGMA, "nonlinear", 2, nonlinear=True),
 )  # fmt: skip
 
-
-@dataclass(frozen=True)
-class Deck:
-    """What sets the members of the deck's family of filters apart.
-
-    Args:
-        method: how the flexure is identified on line (see `navgym.identification`); None: never.
-        truth: whether the true flexure and the true noises are known.
-        printed: whether weights, Q, covariance and increments are the paper's own.
-        shrunk: whether what is identified is shrunk toward what was believed.
-    """
-
-    method: str | None = None
-    truth: bool = False
-    printed: bool = False
-    shrunk: bool = True
-
-
-_DECK = (
-    Filter("alignment", "24-state deck filter, the flexure as believed: an extended Kalman filter", spaces.ALIGNMENT, "deck", Deck()),
-    Filter("alignment_mcc", "the same, robust by the correntropy criterion", spaces.ALIGNMENT_MCC, "deck", Deck()),
-    Filter("idam", "flexure identified on line by an RVM, correntropy, model prediction on request: IDAM, corrected", spaces.IDAM, "deck", Deck("rvm")),
-    Filter("idam_printed", "IDAM as printed: body-frame increments, weights judged by R", spaces.IDAM_PRINTED, "deck", Deck("rvm", printed=True)),
-    Filter("svram", "flexure identified by support vector regression", spaces.IDENTIFIED, "deck", Deck("svr")),
-    Filter("woam", "flexure identified by whale optimisation", spaces.IDENTIFIED, "deck", Deck("whale")),
-    Filter("oracle", "knows the true flexure and the true noises of each step", spaces.ALIGNMENT, "deck", Deck(truth=True), needs_scales=True),
-)  # fmt: skip
-
-# by name, for recordings of two IMUs; both halves have an oracle
-DECK_CATALOGUE: Mapping[str, Filter] = MappingProxyType({f.name: f for f in _DECK})
 
 CATALOGUE: Mapping[str, Filter] = MappingProxyType({f.name: f for f in _ALL})

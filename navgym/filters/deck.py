@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navgym._checks import Array
+from navgym.deck.catalogue import Deck
 from navgym.deck_batch import DeckBatch
 from navgym.filters import alignment as kernels
 from navgym.filters import alignment_model
-from navgym.filters.catalogue import Deck, Filter
 from navgym.flexure import FlexureModel
 from navgym.increments import increments_of, rodrigues
 from navgym.parameters import ParameterSpace
+from navgym.problem import Filter
 
 # What shrinkage leans on: spread of (ln 2μ, ln b², ln σ) about the believed model, and how far fits miss
 # the sampling limit. Wider, identification costs more in a steady sea than it wins in a changing one.

@@ -35,7 +35,7 @@ from navgym.filters.linalg import predict
 from navgym.health import settle
 
 if TYPE_CHECKING:
-    from navgym.filters.catalogue import Filter
+    from navgym.problem import Filter
 
 SKIP, EXTRAPOLATE, HOLD, ZERO = 0, 1, 2, 3
 

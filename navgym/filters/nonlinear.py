@@ -44,7 +44,7 @@ from navgym.filters.linalg import correct, factorise, observe_vector, predict, w
 from navgym.health import NUMERICAL, settle
 
 if TYPE_CHECKING:
-    from navgym.filters.catalogue import Filter
+    from navgym.problem import Filter
 
 EXTENDED, SIGMA, ALTERNATING = 0, 1, 2  # a filter's option
 CUBATURE = 1.0  # the spread a at which eq. 7 is the cubature rule: ω_0 = 0

@@ -43,7 +43,7 @@ from navgym.filters.linalg import (
 from navgym.health import NUMERICAL, settle
 
 if TYPE_CHECKING:
-    from navgym.filters.catalogue import Filter
+    from navgym.problem import Filter
 
 LEAST_COUNT = 1.0  # floor of ν⁻
 # Losses alone never forget R below this count: with less, the wide P⁻ after a long outage passes for

@@ -36,7 +36,7 @@ from navgym.filters.linalg import correct, innovate, observe_vector
 from navgym.health import NUMERICAL, settle
 
 if TYPE_CHECKING:
-    from navgym.filters.catalogue import Filter
+    from navgym.problem import Filter
 
 SWEEPS, TAU, COUNT0 = range(3)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import namedtuple
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 _named: Any = namedtuple  # its names are known at run time only
@@ -47,7 +48,7 @@ class Layout:
         for s in states:
             ends.append(ends[-1] + s.size)
         self.size: int = ends[-1]
-        self.slices = tuple(slice(*ends[i : i + 2]) for i in range(len(states)))
+        self.slices: tuple[slice, ...] = tuple(slice(a, b) for a, b in pairwise(ends))
         # first.NAME, the first state of a block: a named tuple, which kernels read as constants
         self.first = _named("first", names)(*ends[:-1])
 

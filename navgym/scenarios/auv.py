@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from navgym._checks import one_of, positive_int, span, within
-from navgym.models import LinearModel, Model
+from navgym.models import LinearModel
+from navgym.recording import Model
 from navgym.turn_model import CoordinatedTurnModel
 
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from navgym._checks import Array
 from navgym._compile import kernel
-from navgym.models import Model, constant_velocity
-from navgym.recording import Recording
+from navgym.models import constant_velocity
+from navgym.recording import Model, Recording
 from navgym.scenarios.auv import AUVScenario, Loss, Regime
 from navgym.scenarios.seeds import split_of
 from navgym.simulation.regimes import sequence

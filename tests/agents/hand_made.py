@@ -4,10 +4,8 @@ import numpy as np
 
 from agents.manifest import Manifest
 from agents.policy import Policy
-from agents.rollout import AUV, DECK, ENGINES
+from agents.rollout import problem_in
 from navgym.simulation import find_scenario
-
-CHOICES = {AUV: ("process_noise_scale", "forgetting"), DECK: ("kernel_width",)}
 
 
 def policy(environment, scenario, weights=(), reference=None, **settings):
@@ -17,11 +15,11 @@ def policy(environment, scenario, weights=(), reference=None, **settings):
         weights: by (number of the action, name of the observation, or "bias").
         settings: arguments of the environment.
     """
-    make, kind = ENGINES[environment]
-    given = {"action_parameters": CHOICES[environment], "action": "residual"} | settings
+    own = problem_in(environment).environment
+    given = {"action_parameters": own.steered, "action": "residual"} | settings
     if reference is None:
         reference = dict(find_scenario(scenario).reference)
-    engine = make(kind(scenario, reference=reference, **given), 1)
+    engine = own.engine(own.settings(scenario, reference=reference, **given), 1)
     names = list(engine.observation_names)
     w, b = np.zeros((len(engine.table), len(names))), np.zeros(len(engine.table))
     for (action, name), value in dict(weights).items():

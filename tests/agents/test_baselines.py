@@ -5,23 +5,20 @@ import pytest
 
 from agents import regime_tables
 from agents.baselines import (
-    CovarianceMatching,
     Fixed,
     Random,
-    ResidualSign,
     TrueRegime,
     hand_rule,
     whole_filters,
 )
-from agents.rollout import AUV, DECK, Learnt, engine_for, replay_filter, roll_out
+from agents.rollout import Learnt, engine_for, replay_filter, roll_out
 from navgym.batch import Batch
 from navgym.deck_batch import DeckBatch
-from navgym.deck_estimation import run_deck
 from navgym.envs.base import INFORMATION, TERMINATED, TRUNCATED
-from navgym.estimation import parameter_space, run
-from navgym.filters.catalogue import CATALOGUE, DECK_CATALOGUE
+from navgym.problem import PROBLEMS, problem_of
 from navgym.simulation import find_scenario, simulate_many
 from tests.agents import hand_made
+from tests.agents.both import AUV, DECK, run, run_deck
 
 STEPS = 120
 
@@ -75,7 +72,7 @@ def test_an_auv_schedule_gives_the_engines_states_to_the_last_bit(action, interv
     found = roll_out(chooser, recordings)
     states = run(replay_filter(chooser), Batch.of(recordings), found.schedules, found.interval)
     trail, _ = stepped(chooser, recordings)
-    np.testing.assert_array_equal(states["states"], trail)
+    np.testing.assert_array_equal(states.states, trail)
     assert found.schedules[0]["initial_count"] == 30.0
     assert len(found.schedules[2]["forgetting"]) == -(-77 // interval)
 
@@ -89,7 +86,7 @@ def test_a_deck_schedule_gives_the_engines_states_to_the_last_bit(interval, feat
     recordings = deck() + deck(1, duration=70.0)
     found = roll_out(chooser, recordings)
     batch = DeckBatch.of(recordings)
-    states = run_deck(replay_filter(chooser), batch, found.schedules, found.interval)["states"]
+    states = run_deck(replay_filter(chooser), batch, found.schedules, found.interval).states
     trail, start = stepped(chooser, recordings)
     for i, (first, length) in enumerate(zip(start, batch.lengths, strict=True)):
         assert first == round(20 * warmup)
@@ -127,8 +124,8 @@ def test_a_recording_without_truth_can_be_rolled_out():
 
 @pytest.mark.parametrize(
     "baseline",
-    [Fixed(AUV, {"forgetting": 0.9}), Random(AUV), CovarianceMatching(), Fixed(DECK), Random(DECK),
-     ResidualSign()],
+    [Fixed(AUV, {"forgetting": 0.9}), Random(AUV), hand_rule(AUV), Fixed(DECK), Random(DECK),
+     hand_rule(DECK)],
     ids=lambda b: f"{type(b).__name__}-{b.environment[7:10]}",
 )  # fmt: skip
 def test_actions_put_the_chosen_parameters_in_force(baseline):
@@ -166,7 +163,7 @@ def chosen(baseline, name, obs):
 
 
 def test_covariance_matching_is_ten_times_innovation_power_over_noise_power():
-    rule = CovarianceMatching()
+    rule = hand_rule(AUV)
     obs = observed(rule)
     obs[:, rule.places["frozen.power_position.0.8"]] = np.log([3.0, 1.0])  # half logarithms
     obs[:, rule.places["curvature.0.8"]] = np.log([2.0, 2.0])
@@ -177,16 +174,18 @@ def test_covariance_matching_is_ten_times_innovation_power_over_noise_power():
 
 
 def test_the_sign_rule_narrows_at_once_widens_by_half_and_drifts_back():
-    rule = ResidualSign()
+    rule = hand_rule(DECK)
     rule.begin(2)
     loud = {"rate__alarm": 0.1}
     narrowed = chosen(rule, "kernel_width", observed(rule, **loud, rate__persistence=[-0.3, 0.0]))
-    np.testing.assert_allclose(narrowed, [rule.NARROW, 10.0])  # the default where nothing is told
+    np.testing.assert_allclose(
+        narrowed, [rule.rule.NARROW, 10.0]
+    )  # the default where nothing is told
     widened = chosen(rule, "kernel_width", observed(rule, **loud, rate__persistence=[0.5, 0.5]))
-    np.testing.assert_allclose(widened, [1.5 * rule.NARROW, 15.0])
+    np.testing.assert_allclose(widened, [1.5 * rule.rule.NARROW, 15.0])
     quiet = [chosen(rule, "kernel_width", observed(rule))[0] for _ in range(60)]
     assert (np.diff(quiet) > 0.0).all()
-    assert quiet[-1] == pytest.approx(rule.QUIET, rel=0.01)
+    assert quiet[-1] == pytest.approx(rule.rule.QUIET, rel=0.01)
     rule.begin(1)
     again = chosen(rule, "kernel_width", observed(rule, **loud)[:1])
     assert again == pytest.approx(10.0)
@@ -200,7 +199,7 @@ def test_the_true_regimes_table_follows_the_truth_at_once():
     assert table.bound
     rolled = roll_out(table, recordings).schedules
     for mine, other, regime in zip(rolled, table.schedules(), regimes, strict=True):
-        own = regime_tables.TABLES["auv/switch-D"]
+        own = regime_tables.tables()["auv/switch-D"]
         for name in ("forgetting", "process_noise_scale"):
             wanted = [own[names[g]][name] for g in regime]
             np.testing.assert_array_equal(other[name], wanted)
@@ -208,12 +207,12 @@ def test_the_true_regimes_table_follows_the_truth_at_once():
         assert mine["prior_count"] == reference["prior_count"]
 
 
-@pytest.mark.parametrize("scenario", regime_tables.TABLES)
+@pytest.mark.parametrize("scenario", regime_tables.tables())
 def test_tables_hold_every_regime_of_their_scenario_within_the_parameters_ranges(scenario):
-    found = find_scenario(scenario)
-    table = regime_tables.TABLES[scenario]
-    assert set(table) == {r.name for r in found.regimes}
-    space = parameter_space("qivbf" if scenario.startswith("auv/") else "alignment_mcc")
+    problem, table = problem_of(scenario), regime_tables.tables()[scenario]
+    (recording,) = simulate_many(scenario, [0], **problem.brief)
+    assert set(table) == set(recording.meta["regimes"])
+    space = problem.find(problem.contest.default).space
     for row in table.values():
         space.array(row)
 
@@ -225,13 +224,18 @@ def test_a_missing_table_and_a_missing_regime_are_named():
         regime_tables.rows_by_regime("auv/switch-D", ["nominal", "burst"])
 
 
-@pytest.mark.parametrize("environment", [AUV, DECK])
-def test_whole_filters_are_in_the_catalogue_and_only_bounds_need_the_truth(environment):
-    catalogue = CATALOGUE if environment == AUV else DECK_CATALOGUE
-    entries = whole_filters(environment)
-    assert {e.filter for e in entries} <= set(catalogue)
-    assert {e.label for e in entries if catalogue[e.filter].needs_scales} == {"oracle"}
-    assert [e for e in entries if not e.bound] == whole_filters(environment, truth=False)
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_whole_filters_are_the_problems_and_only_bounds_need_the_truth(name):
+    problem = PROBLEMS[name]
+    entries = whole_filters(problem)
+    assert entries[0].label == problem.contest.plain
+    assert {e.filter for e in entries} <= set(problem.filters)
+    assert {e.filter for e in entries if e.bound} == {
+        e.filter for e in entries if problem.filters[e.filter].needs_scales
+    }
+    real = {e.label for e in whole_filters(problem, real=True)}
+    assert {e.label for e in entries if not e.bound} <= real
+    assert not real & {e.label for e in entries if e.bound}
 
 
 def test_an_unknown_environment_is_refused_with_the_nearest_name():

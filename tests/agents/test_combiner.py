@@ -15,13 +15,12 @@ import navgym
 from agents import Combiner, portable
 from agents.combiner import KIND, bank_facts
 from navgym.batch import Batch
-from navgym.estimation import run
 from navgym.filters import combiner as kernels
 from navgym.filters.bank import BANK
-from navgym.metrics import run_rmse
 from navgym.scenarios.auv import Loss
 from navgym.simulation import simulate_many
-from tests.helpers import identical, run_bank
+from tests.agents.both import run
+from tests.helpers import NAMES, identical, run_bank
 from tests.twins import bank as twin
 from tuning.cases import Cases
 
@@ -182,13 +181,11 @@ def test_a_recording_is_estimated_alike_in_any_batch():
     together = combiner.run(Batch.of(recordings), everything=True)
     for i, recording in enumerate(recordings):
         alone = combiner.estimate(recording)
-        identical(
-            {n: a[i, : len(recording)] for n, a in together.items() if n != "diverged"}, alone
-        )
+        identical({n: getattr(together, n)[i, : len(recording)] for n in NAMES}, alone)
         np.testing.assert_array_equal(
-            together["weights"][i, : len(recording)], alone.extras["weights"]
+            together.extras["weights"][i, : len(recording)], alone.extras["weights"]
         )
-        assert np.isnan(together["states"][i, len(recording) :]).all()
+        assert np.isnan(together.states[i, len(recording) :]).all()
 
 
 def test_later_samples_change_no_earlier_estimate():
@@ -229,17 +226,17 @@ def test_a_failure_of_the_bank_is_told_and_spares_the_others():
     y = good.measurements.copy()
     y[20] = 1e200
     found = network().run(Batch.of([altered(good, measurements=y), good]), everything=True)
-    assert found["diverged"].tolist() == [True, False]
-    assert np.isnan(found["states"][0, 20:]).all()
-    assert np.isnan(found["covariances"][0, 20:]).all()
-    identical({n: a[1] for n, a in found.items()}, network().estimate(good))
+    assert found.diverged.tolist() == [True, False]
+    assert np.isnan(found.states[0, 20:]).all()
+    assert np.isnan(found.covariances[0, 20:]).all()
+    identical({n: getattr(found, n)[1] for n in NAMES}, network().estimate(good))
 
 
 def test_states_alone_are_the_same_states():
     batch = Batch.of(simulate_many("auv/switch-B", range(3), 80))
     brief, full = (network().run(batch, everything=e) for e in (False, True))
-    np.testing.assert_array_equal(brief["states"], full["states"])
-    assert brief["covariances"].size == 0
+    np.testing.assert_array_equal(brief.states, full.states)
+    assert brief.covariances.size == 0
 
 
 @pytest.mark.parametrize("scenario", ["auv/position-only", "auv/coordinated-turn"])
@@ -340,13 +337,20 @@ def test_damaged_files_are_refused(tmp_path):
         Combiner.load(path)
 
 
+def squared(cases, states):
+    """Squared position errors over time."""
+    return cases.problem.scoring.squared(cases.batch, states, "rmse", cases.span)
+
+
 # ---- the one that is shipped
 
 
 @pytest.mark.parametrize(("scenario", "least"), [("auv/switch-D", 0.0), ("auv/switch-B", 0.01)])
 def test_the_shipped_one_beats_the_bank_on_fresh_seeds(trained, scenario, least):
     cases = Cases.simulated(scenario, "test", 40, start=5000)
-    own = run_rmse(cases.squared(trained.run(cases.batch)["states"])).mean()
+    own = cases.problem.scoring.errors(
+        cases.batch, trained.run(cases.batch).states, ["rmse"], cases.span
+    )["rmse"].mean()
     assert own < (1.0 - least) * cases.errors("bank")[0].mean()
 
 
@@ -354,9 +358,9 @@ def test_the_shipped_one_beats_the_bank_on_fresh_seeds(trained, scenario, least)
 def test_the_shipped_one_comes_nearer_to_the_oracle_than_the_bank(trained, scenario, left):
     """Of the mean squared distance to the oracle's estimate, so much is left at most."""
     batch = Cases.simulated(scenario, "test", 60, start=5000).batch
-    oracle = run("oracle", batch)["states"][..., [0, 2]]
+    oracle = run("oracle", batch).states[..., [0, 2]]
     own, bank = (
-        ((found["states"][..., [0, 2]] - oracle) ** 2).sum(-1).mean()
+        ((found.states[..., [0, 2]] - oracle) ** 2).sum(-1).mean()
         for found in (trained.run(batch), run("bank", batch))
     )
     assert own < left * bank
@@ -370,8 +374,8 @@ def test_the_shipped_one_keeps_the_bank_consistent(trained):
         trained.run(cases.batch, everything=True),
         run("bank", cases.batch, everything=True),
     ):
-        variance = found["covariances"][..., [0, 2], [0, 2]].sum(-1)
-        ratios.append(cases.squared(found["states"]).mean() / variance.mean())
+        variance = found.covariances[..., [0, 2], [0, 2]].sum(-1)
+        ratios.append(np.nanmean(squared(cases, found.states)) / variance.mean())
     assert abs(math.log(ratios[0])) < abs(math.log(ratios[1])) + 0.05
 
 

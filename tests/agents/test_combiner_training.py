@@ -17,10 +17,10 @@ from agents import Combiner, checkpoints, combiner_command
 from agents.combiner_material import RANGES, CombinerConfiguration, material
 from agents.combiner_training import Network, Trainer, gains, mixed, train
 from navgym.batch import Batch
-from navgym.estimation import run
 from navgym.filters import combiner as kernels
 from navgym.scenarios import seeds
 from navgym.scenarios.seeds import split_of
+from tests.agents.both import run
 from tests.agents.small import quiet
 from tests.agents.test_training import Stopped, stop_after
 
@@ -116,16 +116,16 @@ def test_the_network_in_torch_is_the_kernels():
     with torch.no_grad():
         moved, _ = network(torch.from_numpy(of.inputs))
         offsets = mixed(torch.from_numpy(of.log_weights) + moved, torch.from_numpy(of.offsets))
-    oracle = run("oracle", batch)["states"][..., [0, 2]]
-    found = network.combiner({}).run(batch)["states"][..., [0, 2]]
-    assert np.abs(found - run("bank", batch)["states"][..., [0, 2]]).max() > 0.05
+    oracle = run("oracle", batch).states[..., [0, 2]]
+    found = network.combiner({}).run(batch).states[..., [0, 2]]
+    assert np.abs(found - run("bank", batch).states[..., [0, 2]]).max() > 0.05
     np.testing.assert_allclose(found - oracle, offsets.numpy(), atol=2e-4)
 
 
 def test_material_is_what_bank_and_oracle_say():
     recordings = tiny(None).simulated(SCENARIOS, seeds("train", 4))
     of, batch = material(recordings), Batch.of(recordings)
-    bank = run("bank", batch)["states"][..., [0, 2]]
+    bank = run("bank", batch).states[..., [0, 2]]
     weights = np.exp(of.log_weights)[..., None]
     mean = (weights * of.offsets).sum(2) + of.scatter + batch.truth[..., [0, 2]]
     np.testing.assert_allclose(mean, bank, atol=1e-4)
@@ -160,7 +160,7 @@ def test_conditions_reach_beyond_the_shifts_that_are_reported():
         ({"scenarios": ("auv/swich-D",)}, "Did you mean 'auv/switch-D'"),
         ({"others": ()}, "others must name at least one"),
         ({"others": ("auv/position-only",)}, "has another model than the combiner reads"),
-        ({"scenarios": ("deck/paper",)}, "choose AUV scenarios"),
+        ({"scenarios": ("deck/paper",)}, "has another model than the combiner reads"),
     ],
 )
 def test_a_configuration_that_cannot_be_is_refused(change, message):
@@ -189,9 +189,7 @@ def test_the_command_line_reports_on_a_combiner(made, tmp_path, monkeypatch, cap
     (row,) = json.loads((tmp_path / "report.json").read_text())
     cases = navgym.seeds("test", 4)
     batch = Batch.of([navgym.simulate("auv/switch-B", s) for s in cases])
-    error = np.sqrt(
-        ((run("bank", batch)["states"] - batch.truth)[..., [0, 2]] ** 2).sum(-1).mean(1)
-    )
+    error = np.sqrt(((run("bank", batch).states - batch.truth)[..., [0, 2]] ** 2).sum(-1).mean(1))
     assert row["bank"] == pytest.approx(error.mean())
     assert row["difference"]["relative_gain"] == pytest.approx(1 - row["error"] / row["bank"])
 

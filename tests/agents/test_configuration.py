@@ -11,7 +11,7 @@ pytest.importorskip("tyro")
 pytest.importorskip("tomli_w")
 
 from agents import command, hyperparameters
-from agents.configuration import PRESETS, Configuration, markdown
+from agents.configuration import Configuration, markdown, presets
 from agents.hyperparameters import ShortTraining
 from agents.policy import Policy
 from agents.training import train
@@ -19,9 +19,9 @@ from tests.agents.small import RECIPE, quiet, tiny
 
 
 class TestConfiguration:
-    @pytest.mark.parametrize("name", PRESETS)
+    @pytest.mark.parametrize("name", presets())
     def test_a_preset_survives_its_file(self, name, tmp_path):
-        config = PRESETS[name][1]
+        config = presets()[name][1]
         path = tmp_path / "c.toml"
         path.write_text(config.to_toml())
         assert Configuration.from_toml(path) == config
@@ -39,7 +39,7 @@ class TestConfiguration:
             "2",
         ]
         found = command.parse(words).configuration
-        wanted = PRESETS["deck"][1]
+        wanted = presets()["deck"][1]
         wanted = dataclasses.replace(
             wanted, overrides={"duration": 90.0}, seed=2,
             recipe=dataclasses.replace(wanted.recipe, gamma=0.8),
@@ -52,7 +52,7 @@ class TestConfiguration:
         text = capsys.readouterr().out
         for field in dataclasses.fields(Configuration):
             assert f"--{field.name.replace('_', '-')}" in text
-        for name in PRESETS:
+        for name in presets():
             assert f"  {name} " in text
 
     def test_the_table_for_the_docs_explains_every_field(self):
@@ -104,7 +104,7 @@ class TestConfiguration:
             Configuration(seed=2).folder,
             Configuration(algorithm="sac").folder,
             Configuration(randomise=True).folder,
-            PRESETS["deck"][1].folder,
+            presets()["deck"][1].folder,
         }
         assert len(folders) == 5
 

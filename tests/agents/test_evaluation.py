@@ -10,38 +10,39 @@ import pytest
 
 pytest.importorskip("tyro")
 
+
 from agents import evaluation, evaluation_command, evaluation_report, evaluation_tables
-from agents.auv_contest import AUVWorld
 from agents.combiner import Combiner
-from agents.contest import BEST_FIXED, OWN, SHIFT, Condition, Size
+from agents.contest import BEST_FIXED, OWN, SHIFT, Condition, Extent
 from agents.contest_play import joined, parts, play
 from agents.evaluation import (
     Bench,
     beaten,
     evaluate,
     failures,
+    leagues,
     load,
     load_combiners,
     own_conditions,
-    worlds,
 )
+from agents.league import League
 from agents.policy import Policy
-from agents.rollout import AUV, DECK, Learnt, roll_out
+from agents.rollout import Learnt, roll_out
 from agents.streamed import stream
 from navgym.batch import Batch
-from navgym.estimation import run
 from navgym.filters.bank import MODE_SETS
 from navgym.filters.combiner import shapes
+from navgym.problem import problem_of
 from navgym.scenarios import SHIFTS, split_of
 from navgym.simulation import simulate_many
 from tests.agents import hand_made
+from tests.agents.both import AUV, DECK, run
 from tuning import report
 from tuning.comparison import Comparison, Entry, rows_of
-from tuning.measures import find_measure
 
 # a vehicle that manoeuvres all the time, which the best fixed parameters of `nominal` know nothing of
 WRONG_MODEL = {"process_scale": 20.0, "steps": 150, "loss": 0.0}
-SMALL = Size(auv=8, deck=3, deck_other=2, draws=1, quick=True)
+SMALL = Extent(quick=True, runs=8, draws=1)
 A6 = (
     "default", "hand rule", "best fixed", "true-regime table", "imm", "imm_wide", "bank", "bank_bursts", "oracle",
 )  # fmt: skip
@@ -63,7 +64,7 @@ def idle():
 
 
 def benches(policies, **options):
-    return evaluate(worlds(policies, SMALL, fallback=False, **options), progress=False)
+    return evaluate(leagues(policies, SMALL, fallback=False, **options), progress=False)
 
 
 @pytest.fixture(scope="module")
@@ -141,9 +142,10 @@ def test_a_policy_must_also_beat_the_fixed_parameters_that_it_starts_from():
 def comparison(errors, flags=()):
     entries = [Entry(k, "kf") for k in errors]
     marked = {k: np.full(len(v), k in flags) for k, v in errors.items()}
-    measure = find_measure("auv", "rmse")
-    rows = rows_of(entries, errors, marked, next(iter(errors)), ("kf", "x"), measure, "auv")
-    return Comparison(rows, next(iter(errors)), {}, errors, dict.fromkeys(errors, 0.0))
+    problem = problem_of("auv")
+    measure = problem.scoring.measures["rmse"]
+    rows = rows_of(entries, errors, marked, next(iter(errors)), ("kf", "x"), measure, problem)
+    return Comparison(rows, next(iter(errors)), {}, errors, dict.fromkeys(errors, 0.0), {}, measure)
 
 
 def test_beaten_is_beyond_doubt_and_divergence_beats_nobody():
@@ -168,15 +170,15 @@ def test_everything_runs_on_test_seeds(bench):
     for result in bench.results:
         about = result.main.as_dict()["recordings"]
         assert {split_of(seed) for seed in about["seeds"]} == {"test"}
-        assert about["seeds"][1] - about["seeds"][0] + 1 == SMALL.auv
+        assert about["seeds"][1] - about["seeds"][0] + 1 == SMALL.runs
 
 
 def test_chunks_of_recordings_join_to_the_same_comparison():
-    world = AUVWorld({"idle": idle()}, own_conditions("idle", idle()), SMALL, fallback=False)
-    (condition,) = world.own
-    whole = joined(world, condition, [play(world, condition, 0, 8)])
-    pieces = joined(world, condition, [play(world, condition, *p) for p in ((0, 3), (3, 5))])
-    assert parts(world, condition) == [(0, 8)]
+    league = League(AUV, {"idle": idle()}, own_conditions("idle", idle()), SMALL, fallback=False)
+    (condition,) = league.own
+    whole = joined(league, condition, [play(league, condition, 0, 8)])
+    pieces = joined(league, condition, [play(league, condition, *p) for p in ((0, 3), (3, 5))])
+    assert parts(league, condition) == [(0, 8)]
     for label, errors in whole.main.errors.items():
         if label != "random":  # its dice are thrown per roll-out
             np.testing.assert_array_equal(pieces.main.errors[label], errors)
@@ -184,32 +186,34 @@ def test_chunks_of_recordings_join_to_the_same_comparison():
 
 
 def test_the_full_evaluation_has_every_shift_other_scenarios_and_real_tracks(tmp_path):
-    world = AUVWorld({"idle": idle()}, own_conditions("idle", idle()), Size(), folder=tmp_path)
-    conditions = world.conditions()
+    league = League(
+        AUV, {"idle": idle()}, own_conditions("idle", idle()), Extent(), folder=tmp_path
+    )
+    conditions = league.conditions()
     assert {c.name for c in conditions if c.kind == SHIFT} == set(SHIFTS)
     assert {c.scenario for c in conditions} >= {"auv/switch-B", "auv/student", "auv/turn"}
     assert [c.loss for c in conditions if c.loss] == [0.1, 0.3, 0.5]
     for c in conditions:  # a shift keeps what the policy's own condition overrides
         if c.kind == SHIFT:
             assert {**WRONG_MODEL, **c.overrides} == dict(c.overrides)
-    assert min(world.count(c) for c in conditions if c.kind == OWN) >= 200
+    assert min(league.count(c) for c in conditions if c.kind == OWN) >= 200
 
 
 def test_a_deck_policy_meets_short_segments_a_mild_sea_and_guessed_flexure():
     policy = hand_made.policy(DECK, "deck/switch-60")
-    (world,) = worlds({"p": policy}, Size())
-    names = [c.name for c in world.conditions()]
+    (league,) = leagues({"p": policy}, Extent())
+    names = [c.name for c in league.conditions()]
     assert names == [
-        "switch-60", "as trained", "15 s segments", "mild sea", "flexure guessed", "switch-30", "switch-gyro",
+        "switch-60", "as trained", "15 s segments", "mild sea", "flexure guessed", "switch-gyro", "switch-30",
     ]  # fmt: skip
-    assert world.count(world.conditions()[0]) >= 200
+    assert league.count(league.conditions()[0]) >= 200
 
 
 @pytest.fixture(scope="module")
 def switching():
     """An idle policy on switch-D, with its fallback."""
     policy = steady("auv/switch-D", overrides={"steps": 400})
-    (found,) = evaluate(worlds({"p": policy}, SMALL), progress=False)
+    (found,) = evaluate(leagues({"p": policy}, SMALL), progress=False)
     return found
 
 
@@ -277,8 +281,8 @@ def test_a_stream_is_the_policy_where_it_knows_the_sea_and_best_fixed_where_not(
     states, shares = stream(policy, recordings, 100)
     batch = Batch.of(recordings)
     rolled = roll_out(Learnt(policy), recordings)
-    own = run("qivbf", batch, rolled.schedules, rolled.interval)["states"]
-    fixed = run("qivbf", batch, dict(policy.manifest.reference))["states"]
+    own = run("qivbf", batch, rolled.schedules, rolled.interval).states
+    fixed = run("qivbf", batch, dict(policy.manifest.reference)).states
     if known:
         np.testing.assert_allclose(states, own, atol=1e-4)
         assert (shares == 0.0).all()
@@ -292,15 +296,15 @@ def test_the_deck_is_judged_by_four_quantities(tmp_path):
     overrides = {"duration": 130.0}
     policy = hand_made.policy(DECK, "deck/switch-60", weights, overrides=overrides)
     own = [Condition("short", "deck/switch-60", overrides, OWN)]
-    world = evaluation.WORLDS[DECK]({"p": policy}, own, SMALL, fallback=False)
-    result = joined(world, own[0], [play(world, own[0], *p) for p in parts(world, own[0])])
+    league = League(DECK, {"p": policy}, own, Extent(quick=True, runs=3), fallback=False)
+    result = joined(league, own[0], [play(league, own[0], *p) for p in parts(league, own[0])])
     assert list(result.comparisons) == ["theta_rate", "theta_ac", "theta", "attitude"]
     assert set(result.main.errors) >= {
-        "MCC off", "default", "best fixed", "hand rule", "p", "true-regime schedule", "oracle",
+        "MCC off", "default", "best fixed", "hand rule", "p", "true-regime table", "oracle",
     }  # fmt: skip
     score = {r.label: r.score for r in result.main.rows}
-    assert (score["MCC off"], score["true-regime schedule"]) == (0.0, 1.0)
-    bench = Bench(world, (result,), ())
+    assert (score["MCC off"], score["true-regime table"]) == (0.0, 1.0)
+    bench = Bench(league, (result,), ())
     text = evaluation_tables.as_text([bench])
     assert f"{result.main['p'].mean:.3f} ± " in text
     json.dumps(evaluation_tables.as_json([bench], {}), allow_nan=False)
@@ -414,7 +418,7 @@ def test_policies_are_named_after_their_files_or_folders(tmp_path):
 
 @pytest.mark.slow
 def test_the_numbers_do_not_depend_on_the_workers():
-    found = [evaluate(worlds({"p": idle()}, SMALL), n, progress=False)[0] for n in (1, 2)]
+    found = [evaluate(leagues({"p": idle()}, SMALL), n, progress=False)[0] for n in (1, 2)]
     one, two = (evaluation_tables.as_json([b], {})[AUV] for b in found)
     for each in (one, two):
         del each["microseconds per filter step"]

@@ -8,11 +8,11 @@ import pytest
 
 import navgym
 from agents.live_csv import Noise, estimates
-from agents.rollout import AUV, DECK
 from navgym.csv_log import write_csv
 from navgym.envs.auv import AUVDropoutEnv
 from navgym.simulation import find_scenario
 from tests.agents import hand_made
+from tests.agents.both import AUV, DECK
 from tests.agents.live import some_policy
 
 
@@ -37,7 +37,7 @@ class TestTheScript:
     @staticmethod
     def saved(tmp_path_factory):
         scenario = find_scenario("auv/switch-D")
-        env = AUVDropoutEnv(scenario, overrides={"steps": 20}, action="residual")
+        env = AUVDropoutEnv(scenario=scenario, overrides={"steps": 20}, action="residual")
         return some_policy(env, AUV).save(tmp_path_factory.mktemp("policies") / "some")
 
     def test_it_answers_each_line_before_the_next_one(self, saved):

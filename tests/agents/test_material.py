@@ -8,8 +8,10 @@ pytest.importorskip("tyro")
 pytest.importorskip("tomli_w")
 
 from agents.material import material, recording
-from agents.randomisation import AUVRanges, DeckRanges, drawn
+from agents.randomisation import drawn
 from agents.validation import Validation
+from navgym.auv.conditions import AUVRanges
+from navgym.deck.conditions import DeckRanges
 from navgym.scenarios import seeds
 from navgym.simulation import find_scenario
 from tests.agents.small import tiny

@@ -14,8 +14,9 @@ import agents
 import navgym
 from agents.manifest import Manifest
 from agents.policy import Normalisation, Policy
+from navgym.auv.settings import AUVDropoutSettings
 from navgym.envs.base import INFORMATION
-from navgym.envs.engine import Engine, Settings
+from navgym.envs.engine import Engine
 
 AUV, DECK = "navgym/AUVDropout-v0", "navgym/DeckDeformation-v0"
 ACTIONS = ("process_noise_scale", "forgetting", "vb_iterations")
@@ -23,7 +24,7 @@ ACTIONS = ("process_noise_scale", "forgetting", "vb_iterations")
 
 def engine_of(lanes=1, **arguments):
     chosen = {"overrides": {"steps": 30}, "action_parameters": ACTIONS, "action": "residual"}
-    return Engine(Settings(**chosen | arguments), lanes)
+    return Engine(AUVDropoutSettings(**chosen | arguments), lanes)
 
 
 def layers(sizes, rng, scale=1.0):

@@ -8,9 +8,9 @@ import pytest
 import navgym
 from agents.fallback import FallbackRule
 from agents.policy import Policy
-from agents.rollout import AUV
 from agents.streaming import DIVERGED, SelfTuningFilter
 from navgym.envs.auv import AUVDropoutEnv
+from tests.agents.both import AUV
 from tests.agents.live import episode, parameters, schedule, some_policy, stacked
 
 STEERED = ("vb_iterations", "prior_count", "forgetting", "process_noise_scale", "fill")

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 import navgym
-from agents.rollout import DECK, STEERED_DECK
 from agents.streaming import SelfTuningFilter
+from navgym.deck.problem import STEERED
 from navgym.deck_batch import DeckBatch
-from navgym.deck_estimation import attitudes, run_deck
+from navgym.deck_estimation import attitudes
 from navgym.envs.deck import DeckDeformationEnv
 from navgym.filters.alignment import THETA
 from navgym.flexure import ARCMIN
+from tests.agents.both import DECK, run_deck
 from tests.agents.live import episode, parameters, schedule, some_policy, stacked
 
 SPIKE = 1e200
@@ -53,15 +54,15 @@ class TestDeckParity:
         fixed = np.repeat(space.array(env.engine.reference), first, axis=0)
         whole = np.concatenate([fixed, np.repeat(rows, interval, axis=0)])[: recording.steps]
         run = run_deck(
-            STEERED_DECK, DeckBatch.of([recording]), [schedule(space, whole)], 1, everything=True
+            STEERED, DeckBatch.of([recording]), [schedule(space, whole)], 1, everything=True
         )
         found = list(deck_filter(recording, policy).follow(recording))
-        np.testing.assert_array_equal(stacked(found, "state"), run["states"][0])
-        np.testing.assert_array_equal(stacked(found, "covariance"), run["covariances"][0])
-        np.testing.assert_array_equal(stacked(found, "nis"), run["report"]["nis"][0])
+        np.testing.assert_array_equal(stacked(found, "state"), run.states[0])
+        np.testing.assert_array_equal(stacked(found, "covariance"), run.covariances[0])
+        np.testing.assert_array_equal(stacked(found, "nis"), run.nis[0])
         np.testing.assert_array_equal(parameters(space, found), whole)
         tape = DeckBatch.of([recording]).tapes[0]
-        attitude, static = attitudes(tape, run["states"][0])
+        attitude, static = attitudes(tape, run.states[0])
         np.testing.assert_array_equal(found[-1].attitude, attitude[-1])
         np.testing.assert_array_equal(found[-1].static, static[-1])
 
@@ -79,9 +80,9 @@ class TestDeckParity:
         rows = parameters(env.engine.space, found)
         whole = np.concatenate([rows[:1]] * (short.steps - len(found)) + [rows])
         chosen = schedule(env.engine.space, whole)
-        run = run_deck(STEERED_DECK, DeckBatch.of([short]), [chosen], 1)
+        run = run_deck(STEERED, DeckBatch.of([short]), [chosen], 1)
         # the first steps are filtered together, once three samples are there
-        np.testing.assert_array_equal(stacked(found, "state"), run["states"][0][-len(found) :])
+        np.testing.assert_array_equal(stacked(found, "state"), run.states[0][-len(found) :])
         assert short.steps - len(found) <= 2
 
     def test_rates_are_increments_over_the_interval(self):

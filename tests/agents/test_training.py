@@ -14,10 +14,11 @@ pytest.importorskip("tyro")
 pytest.importorskip("tomli_w")
 
 from agents import checkpoints
-from agents.configuration import AUV, DECK, PRESETS, Configuration
+from agents.configuration import Configuration, presets
 from agents.policy import Policy
 from agents.training import train
 from agents.validation import Validation
+from tests.agents.both import AUV, DECK
 from tests.agents.small import RECIPE, quiet, tiny
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -190,7 +191,7 @@ def test_a_batch_larger_than_an_update_is_refused(tmp_path):
 
 
 def test_the_deck_trains_too(tmp_path):
-    preset = PRESETS["deck"][1]
+    preset = presets()["deck"][1]
     config = dataclasses.replace(
         preset, out=tmp_path, overrides={"duration": 70.0}, pool=3, validation=2, lanes=4,
         decisions=64, interval=64, recipe=dataclasses.replace(RECIPE, steps=8),

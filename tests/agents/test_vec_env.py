@@ -19,8 +19,13 @@ from stable_baselines3.common.vec_env import (
 )
 
 from agents.vec_env import LaneVecEnv, lane_vec_env
+from navgym.problem import problems
 
+# of a problem without arguments of its own here: recordings of some decisions
 ARGUMENTS = {
+    p.environment.id: {"overrides": {name: 5 * value for name, value in p.brief.items()}}
+    for p in problems()
+} | {
     "navgym/AUVDropout-v0": {"overrides": {"steps": 42, "loss": 0.2}},
     "navgym/DeckDeformation-v0": {"overrides": {"duration": 14.0}, "warmup": 8.0},
 }

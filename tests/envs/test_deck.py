@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import navgym
+from navgym.deck import spaces
 from navgym.envs.deck import DeckDeformationEnv, DeckDeformationVectorEnv
-from navgym.filters import spaces
 from navgym.flexure import ARCMIN
 
 ID = "navgym/DeckDeformation-v0"

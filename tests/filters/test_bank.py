@@ -9,11 +9,19 @@ from hypothesis import strategies as st
 
 import navgym
 from navgym.batch import Batch
-from navgym.estimation import run
 from navgym.filters import kalman
 from navgym.filters.bank import BANK, IMM, IMM_WIDE, MODE_SETS, ModeSet, separable
 from navgym.simulation import simulate_many
-from tests.helpers import problems, random_model, random_problem, run_bank, run_family, same, spd
+from tests.helpers import (
+    problems,
+    random_model,
+    random_problem,
+    run,
+    run_bank,
+    run_family,
+    same,
+    spd,
+)
 from tests.twins import bank as twin
 
 FULL, SHARED = 1, 2
@@ -94,7 +102,7 @@ def test_a_burst_of_losses_is_told_from_independent_ones():
 def test_losses_as_evidence_help_where_a_regime_loses_in_bursts_and_cost_nothing_elsewhere():
     def mean_error(name, scenario):
         batch = Batch.of(simulate_many(scenario, range(9000, 9150)))
-        errors = ((run(name, batch)["states"] - batch.truth)[..., [0, 2]] ** 2).sum(-1)
+        errors = ((run(name, batch).states - batch.truth)[..., [0, 2]] ** 2).sum(-1)
         return np.sqrt(errors.mean(1)).mean()
 
     for scenario, most in (("auv/switch-B", 0.995), ("auv/switch-D", 1.002)):
@@ -145,7 +153,7 @@ def test_shared_covariance_costs_less_than_two_in_a_thousand():
     """SCIENCE A6: within .2 % of the 4 x 4 covariance, in position RMSE."""
     recordings = simulate_many("auv/switch-B", range(10))
     batch = Batch.of(recordings)
-    shared = run("bank", batch)["states"]
+    shared = run("bank", batch).states
     whole = np.stack([run_bank(r, BANK, FULL)["states"] for r in recordings])
     rmse = [np.sqrt(((s - batch.truth)[..., [0, 2]] ** 2).sum(-1).mean()) for s in (shared, whole)]
     assert rmse[0] == pytest.approx(rmse[1], rel=0.002)
@@ -217,11 +225,11 @@ def test_log_likelihood_prefers_the_true_noise_scale():
 
     def total(scale):
         found = run("imm", batch, {"measurement_noise_scale": scale}, everything=True)
-        return found["log_likelihood"].sum()
+        return found.log_likelihood.sum()
 
     single = run("kf", batch, {"measurement_noise_scale": 4.0}, everything=True)
     assert max(total(s) for s in (0.02, 4.0, 900.0)) == total(4.0)
-    assert total(4.0) < single["log_likelihood"].sum()
+    assert total(4.0) < single.log_likelihood.sum()
 
 
 def axes_model(**changed):

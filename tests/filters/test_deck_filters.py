@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 
 import navgym
+from navgym.deck.catalogue import CATALOGUE as DECK_CATALOGUE
 from navgym.deck_batch import DeckBatch
-from navgym.deck_estimation import run_deck
 from navgym.filters import alignment as kernels
-from navgym.filters.catalogue import CATALOGUE, DECK_CATALOGUE
+from navgym.filters.catalogue import CATALOGUE
 from navgym.filters.deck import full_table, printed_models, rule_of
 from navgym.flexure import ARCMIN, FlexureModel
 from navgym.simulation import simulate_many
 from tests.filters.deck_lanes import run_alignment
+from tests.helpers import run_deck
 from tests.twins import alignment as twin
 
 IDENTIFYING = [name for name, f in DECK_CATALOGUE.items() if f.option.method is not None]
@@ -73,7 +74,7 @@ def test_the_oracle_beats_the_believer_where_the_model_changes():
     batch = DeckBatch.of(simulate_many("deck/switch-30", range(6), duration=240.0))
     rms = {
         name: np.sqrt(
-            np.nanmean((run_deck(name, batch)["states"][..., 21:] - batch.truth[..., 3:]) ** 2)
+            np.nanmean((run_deck(name, batch).states[..., 21:] - batch.truth[..., 3:]) ** 2)
         )
         for name in PLAIN
     }
@@ -161,15 +162,15 @@ def test_a_recording_is_filtered_alike_in_any_company(name, switching):
     batch = DeckBatch.of([others[0], switching, others[1]])
     found = run_deck(name, batch, everything=True)
     alone = navgym.estimate(name, switching)
-    np.testing.assert_array_equal(found["states"][1, :600], alone.states)
-    np.testing.assert_array_equal(found["covariances"][1, :600], alone.covariances)
-    assert np.isnan(found["states"][1, 600:]).all()
+    np.testing.assert_array_equal(found.states[1, :600], alone.states)
+    np.testing.assert_array_equal(found.covariances[1, :600], alone.covariances)
+    assert np.isnan(found.states[1, 600:]).all()
 
 
 def test_each_recording_may_have_parameters_of_its_own(switching):
     batch = DeckBatch.of([switching, switching])
     given = [{"kernel_width": 2.0}, {"kernel_width": 20.0}]
-    found = run_deck("alignment_mcc", batch, given)["states"]
+    found = run_deck("alignment_mcc", batch, given).states
     for i in range(2):
         alone = navgym.estimate("alignment_mcc", switching, given[i]).states
         np.testing.assert_array_equal(found[i], alone)
@@ -197,13 +198,19 @@ def test_the_oracle_needs_the_truth(field, switching):
 
 @pytest.mark.parametrize("name", sorted(set(CATALOGUE) - set(DECK_CATALOGUE)))
 def test_filters_for_single_recordings_refuse_decks(name, switching):
-    with pytest.raises(ValueError, match=f"{name}.*is for single recordings.*use one of alignment"):
+    with pytest.raises(
+        ValueError,
+        match=f"{name}.* is for a Recording .AUV., and this is a DualIMURecording.*use one of alignment",
+    ):
         navgym.estimate(name, switching)
 
 
 @pytest.mark.parametrize("name", sorted(set(DECK_CATALOGUE) - set(CATALOGUE)))
 def test_deck_filters_refuse_single_recordings(name):
-    with pytest.raises(ValueError, match=f"{name}.*needs a recording of two IMUs.*use one of kf"):
+    with pytest.raises(
+        ValueError,
+        match=f"{name}.* is for a DualIMURecording .Deck., and this is a Recording.*use one of kf",
+    ):
         navgym.estimate(name, navgym.simulate("auv/nominal", 0))
 
 

@@ -8,10 +8,9 @@ from hypothesis import strategies as st
 
 import navgym
 from navgym.batch import Batch
-from navgym.estimation import run
 from navgym.filters import kalman as family
 from navgym.simulation import simulate_many
-from tests.helpers import assert_definite, identical, problems, run_family, same
+from tests.helpers import assert_definite, identical, problems, run, run_family, same
 from tests.twins.kalman import conditioned, kalman
 
 FILLS = {
@@ -131,7 +130,7 @@ def test_mean_covariance_keeps_to_the_bounds_of_sinopoli(arrival, low, high):
     lost = np.random.default_rng(0).random((200, 300)) >= arrival
     time, y = np.arange(300.0), np.zeros((300, 1))
     batch = Batch.of([navgym.Recording(time, y, row, model=model) for row in lost])
-    posterior = run("kf", batch, everything=True)["covariances"][:, 50:, 0, 0]
+    posterior = run("kf", batch, everything=True).covariances[:, 50:, 0, 0]
     assert low <= (1.25**2 * posterior + 1.0).mean() <= high
 
 
@@ -154,11 +153,11 @@ def test_nees_and_nis_of_the_matched_filter_are_chi_square():
     recordings = simulate_many("auv/nominal", range(300), steps=60)
     batch = Batch.of(recordings)
     found = run("kf", batch, everything=True)
-    error = found["states"] - batch.truth
-    nees = np.einsum("nki,nkij,nkj->nk", error, np.linalg.inv(found["covariances"]), error)
+    error = found.states - batch.truth
+    nees = np.einsum("nki,nkij,nkj->nk", error, np.linalg.inv(found.covariances), error)
     # a chi-square mean over N runs is n ± sqrt(2 n / N); 4.5 sigma over 60 samples
     assert np.abs(nees.mean(0) - 4.0).max() < 4.5 * np.sqrt(2 * 4 / 300)
-    received = found["nis"][~np.isnan(found["nis"])]
+    received = found.nis[~np.isnan(found.nis)]
     assert received.mean() == pytest.approx(4.0, abs=4.5 * np.sqrt(2 * 4 / len(received)))
 
 
@@ -173,7 +172,7 @@ def test_oracle_is_the_filter_with_the_true_scales():
 
 def position_rmse(name, recordings):
     batch = Batch.of(recordings)
-    error = (run(name, batch)["states"] - batch.truth)[..., [0, 2]]
+    error = (run(name, batch).states - batch.truth)[..., [0, 2]]
     return np.sqrt((error**2).sum(-1).mean())
 
 
@@ -183,4 +182,4 @@ def test_filling_with_zeros_diverges_and_holding_costs_twice_as_much():
     assert plain == pytest.approx(0.738, rel=0.05)  # SCIENCE A2
     assert position_rmse("kf_hold", recordings) == pytest.approx(1.43, rel=0.15)
     assert position_rmse("kf_zero", recordings) > 100.0
-    assert run("kf_zero", Batch.of(recordings))["diverged"].mean() > 0.5
+    assert run("kf_zero", Batch.of(recordings)).diverged.mean() > 0.5

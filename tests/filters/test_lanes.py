@@ -7,15 +7,15 @@ from hypothesis import strategies as st
 
 import navgym
 from navgym.batch import Batch
-from navgym.estimation import run
 from navgym.filters.catalogue import CATALOGUE
 from tests.helpers import (
-    NAMES,
     assert_definite,
     identical,
+    lane,
     problems,
     random_model,
     random_problem,
+    run,
     same,
 )
 
@@ -122,7 +122,7 @@ def test_company_and_padding_change_nothing(name, size):
     found = run(name, Batch.of(recordings[:size]), everything=True)
     for i, recording in enumerate(recordings[:size]):
         alone = navgym.estimate(name, recording)
-        identical({k: found[k][i, : len(recording)] for k in NAMES}, alone)
+        identical(lane(found, i, len(recording)), alone)
 
 
 def poisoned(recording, k, value=1e300):
@@ -142,12 +142,12 @@ def test_a_broken_lane_disturbs_no_other_and_shows_no_number(name):
     recordings[1] = poisoned(recordings[1], 10)
     found = run(name, Batch.of(recordings), everything=True)
     for i in (0, 2):
-        identical(*({k: r[k][i] for k in NAMES} for r in (found, healthy)))
-        assert found["diverged"][i] == healthy["diverged"][i]
-    assert found["diverged"][1]
-    np.testing.assert_array_equal(found["states"][1, :10], healthy["states"][1, :10])
-    assert np.isnan(found["states"][1, 10:]).all()
-    assert np.isnan(found["covariances"][1, 10:]).all()
+        identical(lane(found, i), lane(healthy, i))
+        assert found.diverged[i] == healthy.diverged[i]
+    assert found.diverged[1]
+    np.testing.assert_array_equal(found.states[1, :10], healthy.states[1, :10])
+    assert np.isnan(found.states[1, 10:]).all()
+    assert np.isnan(found.covariances[1, 10:]).all()
 
 
 @every
@@ -207,8 +207,8 @@ def test_lost_values_are_never_read(name):
 def test_without_everything_only_the_states_are_computed_and_are_the_same(name):
     batch = Batch.of([navgym.simulate("auv/nominal", 0, steps=50)])
     short, full = run(name, batch), run(name, batch, everything=True)
-    np.testing.assert_array_equal(short["states"], full["states"])
-    assert short["covariances"].shape[1] == short["nis"].shape[1] == 0
+    np.testing.assert_array_equal(short.states, full.states)
+    assert short.covariances.shape[1] == short.nis.shape[1] == 0
 
 
 @pytest.mark.parametrize("name", ["kf", "kf_extrapolate", "vbakf", "qivbf", "imm", "bank"])
@@ -249,11 +249,8 @@ def test_a_long_outage_is_no_divergence(name):
 
 @pytest.mark.parametrize("name", ["kf", "qivbf", "bank"])
 def test_padding_says_nothing(name):
-    from navgym.batch import Batch
-    from navgym.estimation import run
-
     long = navgym.simulate("auv/nominal", seed=1, steps=90)
     short = navgym.simulate("auv/nominal", seed=2, steps=30)
     found = run(name, Batch.of([long, short]))
-    np.testing.assert_array_equal(found["states"][1, :30], navgym.estimate(name, short).states)
-    assert np.isnan(found["states"][1, 30:]).all()
+    np.testing.assert_array_equal(found.states[1, :30], navgym.estimate(name, short).states)
+    assert np.isnan(found.states[1, 30:]).all()

@@ -7,9 +7,8 @@ from hypothesis import strategies as st
 
 import navgym
 from navgym.batch import Batch
-from navgym.estimation import run
 from navgym.filters import kalman, qivbf
-from tests.helpers import identical, problems, random_model, random_problem, run_family, same
+from tests.helpers import identical, problems, random_model, random_problem, run, run_family, same
 from tests.twins.vb import elbo, variational, vb_step
 
 INF = np.inf
@@ -215,7 +214,7 @@ def test_the_filter_recovers_at_once_from_a_long_outage(forgetting):
     batch = Batch.of([outage(seed) for seed in range(30)])
 
     def rmse(name, parameters):
-        error = (run(name, batch, parameters)["states"] - batch.truth)[:, 400:450, [0, 2]]
+        error = (run(name, batch, parameters).states - batch.truth)[:, 400:450, [0, 2]]
         return np.sqrt((error**2).sum(-1).mean())
 
     plain = {"process_noise_scale": 1.0, "vb_iterations": 5, "prior_count": 5.0}

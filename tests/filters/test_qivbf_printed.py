@@ -7,10 +7,9 @@ from hypothesis import strategies as st
 
 import navgym
 from navgym.batch import Batch
-from navgym.estimation import run
 from navgym.filters import qivbf_printed
 from navgym.simulation import simulate_many
-from tests.helpers import problems, run_family, same
+from tests.helpers import problems, run, run_family, same
 from tests.twins.printed import printed
 
 
@@ -32,17 +31,17 @@ def test_it_diverges_in_most_runs_even_when_nothing_is_lost(sweeps):
     """In about 90 % of runs (SCIENCE A1): a position error above a hundred sigma."""
     batch = Batch.of(simulate_many("auv/nominal", range(60), loss=0.0))
     found = run("qivbf_printed", batch, {"vb_iterations": sweeps})
-    error = np.abs(found["states"] - batch.truth)[..., [0, 2]].max((1, 2))
+    error = np.abs(found.states - batch.truth)[..., [0, 2]].max((1, 2))
     assert np.mean(~(error < 100.0)) > 0.75
     good = run("qivbf", batch)
-    assert np.abs(good["states"] - batch.truth)[..., [0, 2]].max() < 10.0
+    assert np.abs(good.states - batch.truth)[..., [0, 2]].max() < 10.0
 
 
 def test_its_divergence_is_flagged():
     batch = Batch.of(simulate_many("auv/nominal", range(60), loss=0.0))
     found = run("qivbf_printed", batch)
-    error = np.abs(found["states"] - batch.truth)[:, -1, [0, 2]].max(1)
-    assert found["diverged"][~(error < 1e3)].all()
+    error = np.abs(found.states - batch.truth)[:, -1, [0, 2]].max(1)
+    assert found.diverged[~(error < 1e3)].all()
 
 
 def test_names_and_parameters_reach_the_kernel():

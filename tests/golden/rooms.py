@@ -23,6 +23,7 @@ import navgym
 from agents.fallback import FallbackRule
 from navgym import metrics
 from navgym.identification import METHODS
+from navgym.problem import REGISTERED
 
 Entries = Iterator[tuple[str, Any]]
 AUV, DECK = "navgym/AUVDropout-v0", "navgym/DeckDeformation-v0"
@@ -46,6 +47,12 @@ def recording_of(scenario: str, **changes: Any) -> Any:
     return navgym.simulate(scenario, seed=1, **size | changes)
 
 
+def scenario_names() -> list[str]:
+    """Those that come with navgym."""
+    own = {n for n, r in REGISTERED.items() if r.problem.startswith(f"{navgym.__name__}.")}
+    return [name for name in navgym.scenarios() if name.partition("/")[0] in own]
+
+
 def attributes(key: str, thing: Any, names: tuple[str, ...]) -> Entries:
     """Those of the named attributes that `thing` has."""
     for name in names:
@@ -59,13 +66,13 @@ def attributes(key: str, thing: Any, names: tuple[str, ...]) -> Entries:
 
 def scenarios() -> Entries:
     """What is simulated; where this changes, everything below does."""
-    for scenario in navgym.scenarios():
+    for scenario in scenario_names():
         yield from attributes(f"scenario/{scenario}", recording_of(scenario), RECORDED)
 
 
 def filters() -> Entries:
     """Every filter on every scenario that it takes."""
-    for scenario in navgym.scenarios():
+    for scenario in scenario_names():
         recording, diverged = recording_of(scenario), []
         for name in sorted(navgym.filters()):
             try:
@@ -82,8 +89,9 @@ def filters() -> Entries:
 def estimated(key: str, found: Any) -> Entries:
     """What a filter says."""
     yield from attributes(key, found, ESTIMATED)
-    for name, value in getattr(found, "extras", {}).items():
-        yield f"{key}/{name}", value
+    for name, value in found.extras.items():
+        if not hasattr(found, name):
+            yield f"{key}/{name}", value
 
 
 def scheduled() -> Entries:
@@ -126,8 +134,10 @@ VARIANTS: Mapping[str, Mapping[str, Any]] = {
 
 
 def environment_ids() -> list[str]:
-    """Those of navgym, as registered."""
-    return sorted(name for name in gymnasium.registry if name.startswith("navgym/"))
+    """Those that come with navgym; tests register more."""
+    return sorted(
+        r.environment for r in REGISTERED.values() if r.problem.startswith(f"{navgym.__name__}.")
+    )
 
 
 def environments() -> Entries:
@@ -244,7 +254,7 @@ def followed(key: str, name: str, policy: agents.Policy, recording: Any, rule: s
 def studies() -> Entries:
     """Two small studies, from the first trial to the report."""
     from tuning import tune
-    from tuning.settings import Settings
+    from tuning.settings import StudySettings
 
     asked: Mapping[str, Mapping[str, Any]] = {
         "auv": {"filter": "qivbf", "trials": 24, "runs": 4, "select_runs": 3, "report_runs": 4,
@@ -254,15 +264,15 @@ def studies() -> Entries:
     }  # fmt: skip
     for name, given in asked.items():
         with tempfile.TemporaryDirectory() as folder:
-            found = tune.run(Settings(out=Path(folder), workers=1, **given))
+            found = tune.run(StudySettings(out=Path(folder), workers=1, **given))
         yield from study(f"study/{name}", found)
 
 
 def study(key: str, found: Any) -> Entries:
     """Trials, the winner, what surrounds it, and the comparison with others."""
     trials = found.outcome.trials
-    deck = found.settings.half == "deck"
-    space = navgym.parameter_space(found.settings.filter, deck=deck)
+    problem = key.rpartition("/")[2]
+    space = navgym.parameter_space(found.settings.filter, problem)
     yield f"{key}/values", np.array([space.array(t.values) for t in trials])
     yield f"{key}/results", [t.result for t in trials]
     yield f"{key}/given_up", [t.given_up for t in trials]

@@ -7,10 +7,10 @@ import pytest
 from scipy import stats
 
 import navgym
+from navgym.metrics.measures import BLIND, Judged, bounded, innovation_quantities
+from navgym.problem import PROBLEMS
 from tuning.cases import Cases
-from tuning.deck_cases import DeckCases
-from tuning.measures import MEASURES, Judged, bounded, find_measure, innovation_quantities
-from tuning.objective import Costed, Objective, Pooled, narrowed
+from tuning.objective import Costed, Objective, Pooled, find_measure, narrowed
 
 BRIEF = {"duration": 90.0}
 
@@ -22,7 +22,7 @@ def cases():
 
 @pytest.fixture(scope="module")
 def deck():
-    return DeckCases.simulated("deck/glitch", "train", 3, **BRIEF)
+    return Cases.simulated("deck/glitch", "train", 3, **BRIEF)
 
 
 def test_the_likelihood_of_a_filter_is_that_of_its_gaussian_predictions(cases):
@@ -78,15 +78,16 @@ def test_nothing_received_is_no_number():
 @pytest.mark.parametrize(("name", "ceiling"), [("rmse", 20.0), ("nll", 12.0)])
 def test_a_failed_run_counts_as_its_ceiling_and_leaves_the_others(bad, name, ceiling):
     found = Judged({name: np.array([1.0, bad, 3.0])}, np.array([False, False, False]), 0.0)
-    kept = bounded(found, {name: np.full(3, 2.0)})[name]
+    known = {**PROBLEMS["auv"].scoring.quantities, **BLIND}
+    kept = bounded(found, {name: np.full(3, 2.0)}, known)[name]
     np.testing.assert_array_equal(kept, [1.0, ceiling, 3.0])
     flagged = Judged({name: np.array([1.0, 2.0, 3.0])}, np.array([False, True, False]), 0.0)
     np.testing.assert_array_equal(
-        bounded(flagged, {name: np.full(3, 2.0)})[name], [1.0, ceiling, 3.0]
+        bounded(flagged, {name: np.full(3, 2.0)}, known)[name], [1.0, ceiling, 3.0]
     )
 
 
-@pytest.mark.parametrize("measure", MEASURES["auv"])
+@pytest.mark.parametrize("measure", PROBLEMS["auv"].scoring.measures)
 def test_parts_of_the_instances_are_those_of_the_whole(cases, measure):
     goal = Objective("qivbf", ["forgetting"], cases, measure=measure)
     whole = goal.evaluate({"forgetting": 0.8}).losses
@@ -94,7 +95,7 @@ def test_parts_of_the_instances_are_those_of_the_whole(cases, measure):
     np.testing.assert_array_equal(goal.evaluate({"forgetting": 0.8}, which).losses, whole[which])
 
 
-@pytest.mark.parametrize("measure", MEASURES["deck"])
+@pytest.mark.parametrize("measure", PROBLEMS["deck"].scoring.measures)
 def test_parts_of_a_deck_are_those_of_the_whole(deck, measure):
     goal = Objective("alignment_mcc", ["kernel_width"], deck, measure=measure)
     whole = goal.evaluate({"kernel_width": 4.0})
@@ -137,14 +138,13 @@ def test_a_span_scores_only_its_samples(cases):
     np.testing.assert_allclose(np.mean(halves, axis=0), cases.errors("kf")[0] ** 2, rtol=1e-12)
 
 
-@pytest.mark.parametrize("half", ["auv", "deck"])
-def test_simulated_cases_travel_as_their_recipe(half, cases, deck):
-    chosen, name = (cases, "kf") if half == "auv" else (deck, "alignment")
+@pytest.mark.parametrize("which", ["cases", "deck"])
+def test_simulated_cases_travel_as_their_recipe(which, request):
+    chosen = request.getfixturevalue(which)
     packed = pickle.dumps(chosen)
     assert len(packed) < 1000
     again = pickle.loads(packed)
-    quantity = "rmse" if half == "auv" else "theta_rate"
-    one, other = (c.judge(name, None, (quantity,)).quantities[quantity] for c in (chosen, again))
+    one, other = (c.plain_errors() for c in (chosen, again))
     np.testing.assert_array_equal(one, other)
     assert pickle.loads(packed) is again  # a worker makes them once
     assert len(pickle.dumps(chosen.take([0]))) > 1000  # a part has no recipe of its own
@@ -180,7 +180,7 @@ def test_a_narrowed_range_stays_inside():
             narrowed(p, *ends)
 
 
-def test_an_unknown_measure_is_refused_with_its_half():
+def test_a_measure_of_another_problem_is_unknown():
     with pytest.raises(ValueError, match="unknown measure 'composite'"):
-        find_measure("auv", "composite")
-    assert find_measure("deck", None).name == "composite"
+        find_measure(PROBLEMS["auv"], "composite")
+    assert find_measure(PROBLEMS["deck"], None).name == "composite"

@@ -5,11 +5,10 @@ import functools
 import numpy as np
 import pytest
 
+from navgym.metrics.measures import METRICS
 from tests.tuning.goals import Bowls
 from tuning import racing
 from tuning.cases import Cases
-from tuning.deck_cases import DeckCases
-from tuning.measures import METRICS
 from tuning.objective import Evaluation, Objective, Pooled
 from tuning.racing import LOOKS, Leader, race
 from tuning.study import Search, search
@@ -108,7 +107,7 @@ def objective(kind):
         cases = Cases.simulated("auv/switch-D", "train", 12, steps=150)
         return Objective("qivbf", FREE, cases, measure="likelihood")
     if kind == "deck":
-        cases = DeckCases.simulated("deck/switch-60", "train", 5, duration=75.0)
+        cases = Cases.simulated("deck/switch-60", "train", 5, duration=75.0)
         return Objective("alignment_mcc", ("kernel_width",), cases)
     return Pooled([objective("auv"), objective("other")]) if kind == "pooled" else other()
 

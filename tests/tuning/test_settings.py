@@ -6,19 +6,19 @@ from pathlib import Path
 import pytest
 
 from tuning import command, declared
-from tuning.material import material
-from tuning.settings import Settings
+from tuning.settings import StudySettings
+from tuning.stages import stages
 
 LOG = "time,px,vx,py,vy\n" + "".join(f"{k},{k},1,{2 * k},2\n" for k in range(40))
 
 
 def parse(*arguments):
-    return command.parse(Settings, "doc", arguments)
+    return command.parse(StudySettings, "doc", arguments)
 
 
 def test_without_arguments_the_variational_filter_is_tuned_on_switching_noise():
     settings = parse()
-    assert settings == Settings()
+    assert settings == StudySettings()
     assert [p.name for p in settings.parameters()] == [
         "vb_iterations", "prior_count", "forgetting", "process_noise_scale",
     ]  # fmt: skip
@@ -34,7 +34,7 @@ def test_flags_say_what_is_varied_held_and_where():
     assert forgetting.name == "forgetting"
     assert (process.low, process.high) == (1.0, 50.0)
     assert settings.fixed() == {"fill": "extrapolate", "vb_iterations": 3}
-    assert material(settings).train["auv/switch-D"].about["overrides"] == {"loss": "0.3"}
+    assert stages(settings).train["auv/switch-D"].about["overrides"] == {"loss": "0.3"}
 
 
 def test_a_file_holds_what_flags_say_and_flags_override_it(tmp_path):
@@ -63,14 +63,25 @@ def test_a_file_holds_what_flags_say_and_flags_override_it(tmp_path):
         ({"metric": "maen"}, "Did you mean 'mean'"),
         ({"measure": "rmsee"}, "Did you mean 'rmse'"),
         ({"sampler": "tpee"}, "Did you mean 'tpe'"),
-        ({"filter": "alignment_mcc"}, "different halves"),
+        ({"filter": "alignment_mcc"}, "different problems"),
         ({"report_log": (Path("x.csv"),)}, "needs --log"),
         ({"filter": "oracle"}, "nothing to tune"),
     ],
 )
 def test_a_bad_request_is_refused_with_its_remedy(asked, message):
     with pytest.raises(ValueError, match=re.escape(message)):
-        Settings(**asked)
+        StudySettings(**asked)
+
+
+def test_a_filter_and_logs_of_different_problems_are_refused(tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_text(LOG)
+    with pytest.raises(ValueError, match=r"logs of format 'csv' are of different problems.*deck/"):
+        StudySettings(filter="alignment", log=(log,))
+    with pytest.raises(ValueError, match="Did you mean 'deck_csv'"):
+        StudySettings(filter="alignment", log=(log,), format="deck-csv")
+    with pytest.raises(ValueError, match="are of different problems"):
+        StudySettings(filter="oracle", scenario=("deck/paper", "auv/nominal"))
 
 
 def test_a_bad_flag_ends_the_command_with_the_same_words(capsys):
@@ -96,7 +107,7 @@ def test_a_missing_log_and_a_bad_file_are_named(tmp_path):
 
 
 def test_the_stages_of_a_simulation_share_no_seed():
-    found = material(Settings(runs=3, select_runs=4, report_runs=5, steps=5))
+    found = stages(StudySettings(runs=3, select_runs=4, report_runs=5, steps=5))
     seeds = [
         set(range(first, last + 1))
         for stage in (found.train, found.select, found.report)
@@ -110,10 +121,10 @@ def test_the_stages_of_a_log_share_no_sample(tmp_path):
     log, other = tmp_path / "log.csv", tmp_path / "other.csv"
     for path in (log, other):
         path.write_text(LOG)
-    alone = material(Settings(filter="kf", log=(log,)))
+    alone = stages(StudySettings(filter="kf", log=(log,)))
     spans = [stage["logs"].span for stage in (alone.train, alone.select, alone.report)]
     assert spans == [(0.0, 0.5), (0.5, 0.7), (0.7, 1.0)]
-    two = material(Settings(filter="kf", log=(log,), report_log=(other,)))
+    two = stages(StudySettings(filter="kf", log=(log,), report_log=(other,)))
     assert two.report["logs"].span == (0.0, 1.0)
     assert two.report["logs"].about["logs"][0].startswith("other.csv (")
 
@@ -121,16 +132,16 @@ def test_the_stages_of_a_log_share_no_sample(tmp_path):
 def test_a_log_that_changed_is_another_study(tmp_path):
     log = tmp_path / "log.csv"
     log.write_text(LOG)
-    before = material(Settings(filter="kf", log=(log,))).train["logs"].about
+    before = stages(StudySettings(filter="kf", log=(log,))).train["logs"].about
     log.write_text(LOG.replace("39,39,1", "39,38,1"))
     from tuning.recipes import remake
 
     remake.cache_clear()
-    assert material(Settings(filter="kf", log=(log,))).train["logs"].about != before
+    assert stages(StudySettings(filter="kf", log=(log,))).train["logs"].about != before
 
 
 def test_tracks_are_tuned_on_one_half_and_reported_on_the_other(akit):
-    found = material(Settings(akit=akit, runs=1, select_runs=1, report_runs=1))
+    found = stages(StudySettings(akit=akit, runs=1, select_runs=1, report_runs=1))
     for rate in ("10% lost", "30% lost", "50% lost"):
         assert found.train[rate].about["tracks"] == [1, 2, 3]
         assert found.select[rate].about["split"] == "validation"

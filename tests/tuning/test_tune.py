@@ -10,16 +10,17 @@ import pytest
 
 import navgym
 from navgym.csv_log import write_csv
+from navgym.problem import Amount
 from tuning import tune, tune_report
 from tuning.cases import Cases
-from tuning.headroom import FIXED, TABLE, Size, headroom
-from tuning.settings import Settings
+from tuning.headroom import FIXED, TABLE, headroom
+from tuning.settings import StudySettings
 
 
 def small(out, **more):
     settings = {"trials": 24, "runs": 8, "select_runs": 10, "report_runs": 30, "steps": 200,
                 "workers": 1, "scenario": ("auv/mismatch",), "out": out}  # fmt: skip
-    return Settings(**(settings | more))
+    return StudySettings(**(settings | more))
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +40,7 @@ def test_the_tuned_filter_gains_on_recordings_that_nobody_tuned_on(found):
 
 
 def test_the_winner_is_the_best_of_the_leaders_on_the_validation_seeds(found):
-    fresh = tune.goal_of(found.settings, found.material.select)
+    fresh = tune.goal_of(found.settings, found.stages.select)
     leaders = sorted(found.outcome.trials, key=lambda t: (t.given_up, t.result))[:8]
     assert found.chosen.result == min(fresh(t.values) for t in leaders)
 
@@ -127,9 +128,9 @@ def test_tuned_without_truth_the_real_tracks_are_tracked_better_than_by_default(
 
 
 def test_headroom_is_what_the_true_regime_is_worth(tmp_path):
-    found = headroom("auv/switch-D", Size(24, 10, 40, 300), 0, tmp_path)
+    found = headroom("auv/switch-D", 0, tmp_path, amount=Amount(24, 10, 10, 40), steps=300)
     comparison = found.comparisons["rmse"]
     assert comparison.difference(TABLE, FIXED).gain_low > 0.05
     assert comparison["oracle"].mean < comparison[TABLE].mean < comparison[FIXED].mean
     with pytest.raises(ValueError, match="unknown scenario"):
-        headroom("auv/switch-X", Size(1, 1, 1), 0, tmp_path)
+        headroom("auv/switch-X", 0, tmp_path)

@@ -1,4 +1,4 @@
-"""How fast the AUV half is, against well-known things measured in the same run."""
+"""How fast the AUV is, against well-known things measured in the same run."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ import gymnasium
 import numpy as np
 
 import navgym
+from navgym.auv.problem import PROBLEM
 from navgym.batch import Batch
-from navgym.estimation import run
-from navgym.filters.catalogue import CATALOGUE
 from navgym.simulation import simulate_many
 from tuning.benchmarks.timing import Row, episodes, measured, paired, python, seconds
 
@@ -100,7 +99,7 @@ def against_filterpy(rounds: int) -> Row:
                 kf.predict()
                 kf.update(None if gone else z)
 
-    _, _, ratio = paired(lambda: run("kf", batch), theirs, rounds)
+    _, _, ratio = paired(lambda: PROBLEM.run("kf", batch), theirs, rounds)
     return Row("kf against filterpy, 20 series of 500", "at least 100x", f"{ratio:,.0f}x")
 
 
@@ -126,10 +125,10 @@ def against_dynamax(rounds: int) -> Row:
     )  # fmt: skip
     many = jax.jit(jax.vmap(lambda y: lgssm_filter(parameters, y).filtered_means))
     theirs = np.asarray(many(batch.y))
-    if not np.allclose(theirs, run("kf", batch)["states"], atol=1e-6):
+    if not np.allclose(theirs, PROBLEM.run("kf", batch).states, atol=1e-6):
         raise RuntimeError("dynamax and navgym disagree: the comparison would be meaningless.")
     mine, other, ratio = paired(
-        lambda: run("kf", batch), lambda: many(batch.y).block_until_ready(), rounds
+        lambda: PROBLEM.run("kf", batch), lambda: many(batch.y).block_until_ready(), rounds
     )
     return Row(what, "told", f"{ratio:.1f}x ({mine * 1e3:.0f} against {other * 1e3:.0f} ms)")
 
@@ -153,12 +152,12 @@ def filters_table(rounds: int) -> list[Row]:
     """Cost of each filter per sample, one core."""
     batch = Batch.of(simulate_many("auv/switch-D", navgym.seeds("test", 50)))
     rows = []
-    for name in CATALOGUE:
+    for name in PROBLEM.filters:
         try:
-            run(name, batch)
+            PROBLEM.run(name, batch)
         except ValueError:
             continue
-        task = functools.partial(run, name, batch)
+        task = functools.partial(PROBLEM.run, name, batch)
         cost = statistics.median(seconds(task) for _ in range(rounds))
         rows.append(Row(f"filter {name}", "told", f"{cost / batch.lost[..., 0].size * 1e6:.2f} µs"))
     return rows
@@ -174,7 +173,7 @@ def simulation(rounds: int) -> Row:
 
 
 def auv(rounds: int) -> list[Row]:
-    """Every figure of the AUV half."""
+    """Every figure of the AUV."""
     return measured(
         [
             single_environment, batches, objective, against_filterpy, against_dynamax, simulation,

@@ -1,4 +1,4 @@
-"""How fast the deck half is: against a plain numpy EKF, fastrvm and itself, in the same run."""
+"""How fast the deck is: against a plain numpy EKF, fastrvm and itself, in the same run."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ from scipy.spatial.transform import Rotation
 
 import navgym
 from navgym._checks import Array
+from navgym.deck.problem import PROBLEM
 from navgym.deck_batch import DeckBatch
-from navgym.deck_estimation import run_deck
+from navgym.deck_estimation import flexure_increments
 from navgym.deck_model import lever_matrix
-from navgym.filters.catalogue import DECK_CATALOGUE
 from navgym.identification import METHODS, RVM, identify
-from navgym.increments import flexure_increments
 from navgym.simulation import simulate_many
 from tuning.benchmarks.timing import Row, episodes, measured, paired, python, seconds
 
@@ -32,7 +31,7 @@ def filtering(rounds: int) -> list[Row]:
     steps = int(batch.lengths.sum())
     small = DeckBatch.of(simulate_many("deck/paper", navgym.seeds("test", 1), duration=10.0))
     mine, other, ratio = paired(
-        lambda: run_deck("alignment", small), lambda: numpy_ekf(small), max(rounds // 2, 2)
+        lambda: PROBLEM.run("alignment", small), lambda: numpy_ekf(small), max(rounds // 2, 2)
     )
     found = [
         Row(
@@ -41,10 +40,10 @@ def filtering(rounds: int) -> list[Row]:
         )
     ]  # fmt: skip
     for name, parameters in (("alignment", {}), ("alignment_mcc", {"kernel_width": 5.0})):
-        cost = _median(lambda n=name, p=parameters: run_deck(n, batch, p), rounds)
+        cost = _median(lambda n=name, p=parameters: PROBLEM.run(n, batch, p), rounds)
         wanted = "at most 6 µs" if name == "alignment_mcc" else "told"
         found.append(Row(f"{name}, one 24-state step", wanted, f"{cost / steps * 1e6:.2f} µs"))
-    whole = _median(lambda: run_deck("alignment_mcc", batch), rounds) / len(batch)
+    whole = _median(lambda: PROBLEM.run("alignment_mcc", batch), rounds) / len(batch)
     ready = _median(lambda: DeckBatch.of(recordings), rounds) / len(batch)
     made = _median(lambda: simulate_many("deck/paper", range(4)), rounds) / len(batch)
     both = whole + ready
@@ -190,8 +189,8 @@ def filters_table(rounds: int) -> list[Row]:
     batch = DeckBatch.of(simulate_many("deck/switch-60", navgym.seeds("test", 2)))
     steps = int(batch.lengths.sum())
     return [
-        Row(f"filter {name}", "told", f"{_median(lambda n=name: run_deck(n, batch), max(rounds // 3, 1)) / steps * 1e6:.1f} µs per step")
-        for name in DECK_CATALOGUE
+        Row(f"filter {name}", "told", f"{_median(lambda n=name: PROBLEM.run(n, batch), max(rounds // 3, 1)) / steps * 1e6:.1f} µs per step")
+        for name in PROBLEM.filters
     ]  # fmt: skip
 
 
@@ -207,7 +206,7 @@ def start_up(rounds: int) -> Row:
 
 
 def deck(rounds: int) -> list[Row]:
-    """Every figure of the deck half."""
+    """Every figure of the deck."""
     parts: list[Callable[[int], Row | list[Row]]] = [
         filtering, environments, vectors, identifications, filters_table, start_up,
     ]  # fmt: skip

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import navgym
+from navgym.auv.problem import STEERED
 from tuning.benchmarks.timing import Row, measured, seconds
 from tuning.cases import Cases
 from tuning.executors import workers
-from tuning.experiments import STEERED
 from tuning.objective import Objective
 from tuning.study import Search, search
 

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navgym._checks import Array, one_of
-from navgym.metrics import DIVERGED_MULTIPLE
+from navgym._checks import Array
+from navgym.metrics.errors import DIVERGED_MULTIPLE
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,7 @@ class Quantity:
     """One number per recording.
 
     Args:
+        name: as in code and results.
         label: what tables and axes call it.
         unit: physical unit, "" where there is none.
         needs_truth: whether it compares with the truth.
@@ -33,6 +34,7 @@ class Quantity:
         added: see `worst`; for logarithms, which have no zero to multiply.
     """
 
+    name: str
     label: str
     unit: str
     needs_truth: bool = True
@@ -44,20 +46,10 @@ class Quantity:
         return plain + self.worst if self.added else plain * self.worst
 
 
-_LIKELIHOOD = Quantity("innovation NLL", "nats", needs_truth=False, worst=10.0, added=True)
-_CONSISTENCY = Quantity("|ln NIS|", "", needs_truth=False, worst=math.log(1e4), added=True)
-
-QUANTITIES: Mapping[str, Quantity] = MappingProxyType(
-    {
-        "rmse": Quantity("position RMSE", "m"),
-        "theta_rate": Quantity("θ̇ RMSE", "′/s"),
-        "theta_ac": Quantity("θ_ac RMSE", "′"),
-        "theta": Quantity("θ RMSE", "′"),
-        "attitude": Quantity("attitude RMSE", "′"),
-        "nll": _LIKELIHOOD,
-        "nis": _CONSISTENCY,
-    }
-)
+# what every filter says of its own measurements
+NLL = Quantity("nll", "innovation NLL", "nats", needs_truth=False, worst=10.0, added=True)
+NIS = Quantity("nis", "|ln NIS|", "", needs_truth=False, worst=math.log(1e4), added=True)
+BLIND: Mapping[str, Quantity] = MappingProxyType({q.name: q for q in (NLL, NIS)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,30 +80,30 @@ class Measure:
 
     name: str
     summary: str
-    parts: tuple[str, ...]
-    limits: tuple[tuple[str, float], ...] = ()
+    parts: tuple[Quantity, ...]
+    limits: tuple[tuple[Quantity, float], ...] = ()
 
     @property
-    def quantities(self) -> tuple[str, ...]:
-        """Every quantity that has to be computed."""
-        return tuple(dict.fromkeys((*self.parts, *(q for q, _ in self.limits))))
+    def quantities(self) -> dict[str, Quantity]:
+        """Every quantity that has to be computed, by name."""
+        return {q.name: q for q in (*self.parts, *(q for q, _ in self.limits))}
 
     @property
     def needs_truth(self) -> bool:
         """Whether recordings must carry the truth."""
-        return any(QUANTITIES[q].needs_truth for q in self.quantities)
+        return any(q.needs_truth for q in self.quantities.values())
 
     @property
     def unit(self) -> str:
         """Physical unit; "" for a mean of ratios."""
-        return QUANTITIES[self.parts[0]].unit if len(self.parts) == 1 else ""
+        return self.parts[0].unit if len(self.parts) == 1 else ""
 
     @property
     def label(self) -> str:
         """What tables and axes call it."""
         if len(self.parts) == 1:
-            return QUANTITIES[self.parts[0]].label
-        return f"mean of {' and '.join(QUANTITIES[q].label for q in self.parts)} over plain"
+            return self.parts[0].label
+        return f"mean of {' and '.join(q.label for q in self.parts)} over plain"
 
     @property
     def axis(self) -> str:
@@ -120,43 +112,18 @@ class Measure:
 
     def ceiling(self, plain: Array) -> Array:
         """What a diverged run's measure is at least, given the plain filter's (N,)."""
-        return QUANTITIES[self.parts[0]].ceiling(plain)
+        return self.parts[0].ceiling(plain)
 
     def losses(self, found: Mapping[str, Array], plain: Mapping[str, Array]) -> Array:
         """The measure of each run (n,), from its quantities and the plain filter's (N,)."""
         if len(self.parts) == 1:
-            return found[self.parts[0]]
-        return np.asarray(np.mean([found[q] / plain[q].mean() for q in self.parts], axis=0))
+            return found[self.parts[0].name]
+        shares = [found[q.name] / plain[q.name].mean() for q in self.parts]
+        return np.asarray(np.mean(shares, axis=0))
 
 
-_NLL = Measure("likelihood", "negative log-likelihood of an innovation component: needs no truth", ("nll",))  # fmt: skip
-_NIS = Measure("consistency", "|ln| of the mean NIS per component, 0 if P tells the truth: needs no truth", ("nis",))  # fmt: skip
-
-# per half, the default first
-MEASURES: Mapping[str, Mapping[str, Measure]] = MappingProxyType(
-    {
-        "auv": {
-            m.name: m for m in (Measure("rmse", "position RMSE, m", ("rmse",)), _NLL, _NIS)
-        },
-        "deck": {
-            m.name: m
-            for m in (
-                Measure(
-                    "composite",
-                    "θ̇ and the fast part of θ, each over the plain filter's; θ may grow by 2 % at most",
-                    ("theta_rate", "theta_ac"),
-                    (("theta", 0.02),),
-                ),
-                Measure("theta_rate", "RMSE of θ̇, ′/s", ("theta_rate",)),
-                Measure("theta_ac", "RMSE of θ less its 60 s mean, ′", ("theta_ac",)),
-                Measure("theta", "RMSE of θ, ′", ("theta",)),
-                Measure("attitude", "RMSE of the total attitude, ′", ("attitude",)),
-                _NLL,
-                _NIS,
-            )
-        },
-    }
-)  # fmt: skip
+LIKELIHOOD = Measure("likelihood", "negative log-likelihood of an innovation component: needs no truth", (NLL,))  # fmt: skip
+CONSISTENCY = Measure("consistency", "|ln| of the mean NIS per component, 0 if P tells the truth: needs no truth", (NIS,))  # fmt: skip
 
 METRICS: Mapping[str, Any] = MappingProxyType(
     {
@@ -167,13 +134,14 @@ METRICS: Mapping[str, Any] = MappingProxyType(
 )
 
 
-def find_measure(half: str, name: str | None) -> Measure:
-    """The measure called `name` for "auv" or "deck", its default for None; ValueError if unknown."""
-    known = MEASURES[half]
-    return next(iter(known.values())) if name is None else known[one_of("measure", name, known)]
+def by_name(*measures: Measure) -> Mapping[str, Measure]:
+    """`measures` by name, then those that need no truth; the first is the default."""
+    return MappingProxyType({m.name: m for m in (*measures, LIKELIHOOD, CONSISTENCY)})
 
 
-def bounded(found: Judged, plain: Mapping[str, Array]) -> dict[str, Array]:
+def bounded(
+    found: Judged, plain: Mapping[str, Array], quantities: Mapping[str, Quantity]
+) -> dict[str, Array]:
     """Quantities (n,), where divergence has a price that is finite and high.
 
     A run that diverged (flagged, not finite, or worse than its ceiling) counts as exactly the
@@ -182,10 +150,11 @@ def bounded(found: Judged, plain: Mapping[str, Array]) -> dict[str, Array]:
     Args:
         found: of each run.
         plain: the same quantities of a filter that needs no tuning, on the same runs.
+        quantities: what they are.
     """
     kept = {}
     for name, each in found.quantities.items():
-        ceiling = QUANTITIES[name].ceiling(plain[name])
+        ceiling = quantities[name].ceiling(plain[name])
         bad = found.flags | ~np.isfinite(each) | ~(each <= ceiling)
         kept[name] = np.where(bad, ceiling, each)
     return kept

@@ -8,21 +8,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from navgym.dual_imu import DualIMURecording
+from navgym.problem import Amount, Problem
 from navgym.readers import read
 from tuning.cases import Cases
-from tuning.deck_cases import DeckCases
-from tuning.experiments import FOLDS, RATES, real_cases
-from tuning.objective import AnyCases
+from tuning.experiments import real_cases
 from tuning.recipes import travelling
-from tuning.settings import Amount, Settings
+from tuning.settings import StudySettings
 
 # shares of a log that is tuned on up to here, and chosen among leaders up to there
 TUNED, CHOSEN = 0.5, 0.7
 
 
 @dataclass(frozen=True, eq=False)
-class Material:
+class Stages:
     """Recordings by stage; no two stages share a recording, a seed, or a stretch of a log.
 
     Args:
@@ -32,13 +30,13 @@ class Material:
         split: how the three are kept apart, in words.
     """
 
-    train: Mapping[str, AnyCases]
-    select: Mapping[str, AnyCases]
-    report: Mapping[str, AnyCases]
+    train: Mapping[str, Cases]
+    select: Mapping[str, Cases]
+    report: Mapping[str, Cases]
     split: str
 
 
-def material(settings: Settings) -> Material:
+def stages(settings: StudySettings) -> Stages:
     """The recordings that `settings` ask for.
 
     Raises:
@@ -46,16 +44,16 @@ def material(settings: Settings) -> Material:
         OSError: a file that is not there.
     """
     if settings.akit is not None:
-        return _tracks(settings.akit, settings.amount)
+        return _tracks(settings.problem, settings.akit, settings.amount)
     return _logs(settings) if settings.log else _simulated(settings)
 
 
 # ---- simulation
 
 
-def _simulated(settings: Settings) -> Material:
+def _simulated(settings: StudySettings) -> Stages:
     amount = settings.amount
-    stages = {
+    made = {
         split: {
             name: _scenario(settings, name, split, count) for name in settings.scenario
         }
@@ -63,66 +61,66 @@ def _simulated(settings: Settings) -> Material:
             ("train", amount.runs), ("validation", amount.select_runs), ("test", amount.report_runs)
         )
     }  # fmt: skip
-    return Material(
-        stages["train"], stages["validation"], stages["test"],
+    return Stages(
+        made["train"], made["validation"], made["test"],
         "tuned on training seeds, chosen among the leaders on validation seeds, reported on test seeds",
     )  # fmt: skip
 
 
-def _scenario(settings: Settings, name: str, split: str, count: int) -> AnyCases:
+def _scenario(settings: StudySettings, name: str, split: str, count: int) -> Cases:
     overrides: dict[str, Any] = dict(settings.overrides)
-    if settings.half == "deck":
-        return DeckCases.simulated(name, split, count, **overrides)
-    return Cases.simulated(name, split, count, steps=settings.steps, **overrides)
+    if settings.steps is not None:
+        overrides["steps"] = settings.steps
+    return Cases.simulated(name, split, count, **overrides)
 
 
 # ---- logs
 
 
-def _logs(settings: Settings) -> Material:
+def _logs(settings: StudySettings) -> Stages:
     own, other = settings.log, settings.report_log
     if other:
-        stages = [(own, (0.0, CHOSEN)), (own, (CHOSEN, 1.0)), (other, (0.0, 1.0))]
+        spans = [(own, (0.0, CHOSEN)), (own, (CHOSEN, 1.0)), (other, (0.0, 1.0))]
         how = f"the last {1 - CHOSEN:.0%} of each log chose among the leaders, other logs are reported on"
     else:
-        stages = [(own, (0.0, TUNED)), (own, (TUNED, CHOSEN)), (own, (CHOSEN, 1.0))]
+        spans = [(own, (0.0, TUNED)), (own, (TUNED, CHOSEN)), (own, (CHOSEN, 1.0))]
         how = (
             f"the first {TUNED:.0%} of each log was tuned on, the samples up to {CHOSEN:.0%} chose "
             "among the leaders, the rest is reported on"
         )
-    made = [{"logs": logged(settings.format, paths, span)} for paths, span in stages]
-    return Material(made[0], made[1], made[2], how)
+    made = [{"logs": logged(settings.format, paths, span)} for paths, span in spans]
+    return Stages(made[0], made[1], made[2], how)
 
 
 @travelling
-def logged(format_name: str, paths: tuple[Path, ...], span: tuple[float, float]) -> AnyCases:
+def logged(format_name: str, paths: tuple[Path, ...], span: tuple[float, float]) -> Cases:
     """Logs as cases that are scored between two shares of their samples."""
     recordings = [read(format_name, path) for path in paths]
     about = {
         "logs": [f"{p.name} ({hashlib.sha256(p.read_bytes()).hexdigest()[:8]})" for p in paths],
         "scored": list(span),
     }
-    kind: Any = DeckCases if isinstance(recordings[0], DualIMURecording) else Cases
-    cases: AnyCases = kind.of(recordings, about, span)
-    return cases
+    return Cases.of(recordings, about, span)
 
 
-# ---- A-KIT
+# ---- real tracks
 
 
-def _tracks(folder: Path, amount: Amount) -> Material:
-    tuned, reported = FOLDS
-    stages = []
+def _tracks(problem: Problem, folder: Path, amount: Amount) -> Stages:
+    assert problem.tracks is not None
+    tuned, reported = problem.tracks.folds
+    rates = problem.tracks.rates
+    made = []
     for split, tracks, draws in (
         ("train", tuned, amount.runs),
         ("validation", tuned, amount.select_runs),
         ("test", reported, amount.report_runs),
     ):
-        stages.append(
-            {f"{rate:.0%} lost": real_cases(folder, rate, draws, split, tracks) for rate in RATES}
+        made.append(
+            {f"{r:.0%} lost": real_cases(problem, folder, r, draws, split, tracks) for r in rates}
         )
-    return Material(
-        stages[0], stages[1], stages[2],
+    return Stages(
+        made[0], made[1], made[2],
         f"tuned on tracks {tuned[0]} to {tuned[-1]}, leaders chosen there under other noise and losses, "
         f"reported on tracks {reported[0]} to {reported[-1]}",
     )  # fmt: skip

@@ -1,0 +1,133 @@
+"""A-KIT: real tracks of the Snapir AUV (github.com/ansfl/A-KIT)."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from navgym._checks import Array, positive_int, within
+from navgym._tables import Table, read_table
+from navgym.inertial.earth import radii_of_curvature
+from navgym.models import LinearModel, step_of
+from navgym.recording import Recording
+from navgym.scenarios import Loss, split_of
+from navgym.simulation.auv import draw_losses
+
+STREAM = 0xA1  # first word of an A-KIT recording's seed sequence; the AUV simulator's is 0xA0
+
+
+def read_akit(
+    path: str | os.PathLike[str],
+    *,
+    track: int = 1,
+    loss: Loss | float = 0.0,
+    seed: int = 0,
+    position_noise: float = 1.0,
+    model: LinearModel | None = None,
+) -> Recording:
+    """A voyage of the Snapir AUV: real DVL velocity, position fixes made from the reference.
+
+    The state is [Px, Vx, Py, Vy] = north, north velocity, east, east velocity (m, m/s) in the
+    tangent plane at the first reference sample. A position fix is the reference plus
+    N(0, position_noise²). A velocity is the DVL's body velocity turned to north-east-down by the
+    recorded roll, pitch and yaw; the DVL's lever arm (1.5 to 1.9 m aft of the reference point) is
+    left in it, as in the data. The truth is the reference. Its first sample gives x0 and no
+    measurement, since x0 and P0 hold one step before the first measurement.
+
+    Args:
+        path: the published Data folder, or any that holds DVL_trajectoryN.csv, GT_trajectoryN.csv.
+        track: N.
+        loss: a `navgym.scenarios.Loss`, or the rate of independent losses.
+        seed: of noise and losses; take it from `navgym.seeds`. Each has a stream of its own, so
+            that another loss leaves the noise as it was.
+        position_noise: standard deviation of a position fix, m; the default model knows it.
+        model: a linear model of these four states. By default all four are measured with
+            R = diag(position_noise², .1², position_noise², .1²), Q = .1² G Gᵀ
+            (`LinearModel.white_acceleration`), x0 is the reference's first state and P0 = I.
+
+    Raises:
+        FileNotFoundError: the folder lacks the track.
+        ValueError: files that are not in the published layout, or an option out of range.
+
+    Source: A-KIT, github.com/ansfl/A-KIT (N. Cohen and I. Klein, Adaptive Kalman-Informed
+    Transformer, arXiv:2401.09987). It states no licence: navgym does not ship its data.
+    """
+    lossy = loss if isinstance(loss, Loss) else Loss(float(loss))
+    split_of(seed)
+    within("position_noise", position_noise, 0.0, above=True)
+    time, truth, dvl = _akit_track(Path(path), positive_int("track", track))
+    if model is None:
+        dt = step_of(np.diff(time))
+        model = LinearModel.white_acceleration(dt, position_noise=position_noise, x0=truth[0])
+    time, truth, dvl = time[1:], truth[1:], dvl[1:]
+    words = np.random.SeedSequence([STREAM, track, seed])
+    noise, losses = (np.random.default_rng(s) for s in words.spawn(2))
+    sensed = truth.copy()
+    sensed[:, [0, 2]] += position_noise * noise.standard_normal((len(time), 2))
+    sensed[:, [1, 3]] = dvl
+    meta = {"track": track, "seed": int(seed), "position_noise": float(position_noise)}
+    return Recording(
+        time=time,
+        measurements=np.einsum("...ij,...j->...i", _rows_of_four(model), sensed),
+        lost=draw_losses(lossy, [lossy], np.zeros(len(time), np.int64), model.m, losses),
+        truth=truth,
+        model=model,
+        meta={"format": "akit", "source": "github.com/ansfl/A-KIT", "loss": asdict(lossy)} | meta,
+    )
+
+
+def _akit_track(folder: Path, track: int) -> tuple[Array, Array, Array]:
+    """Time (T,), reference states (T, 4), and DVL velocity north and east (T, 2)."""
+    reference, dvl = (read_table(_akit_file(folder, kind, track)) for kind in ("GT", "DVL"))
+    time = reference.increasing("Time [s]")
+    if len(time) < 2 or not np.array_equal(time, dvl.increasing("Time [s]")):
+        raise ValueError(
+            f"{reference.path.name} and {dvl.path.name} must hold the same times, at least two: "
+            f"they have {len(time)} and {len(dvl.lines)} rows. Use the files as published."
+        )
+    north, east = _tangent_plane(reference)
+    v_north, v_east = (reference.numbers(f"V {axis} [m/s]") for axis in ("North", "East"))
+    angles = reference.matrix(("Yaw [rad]", "Pitch [rad]", "Roll [rad]"))
+    body = dvl.matrix(("DVL X [m/s]", "DVL Y [m/s]", "DVL Z [m/s]"))
+    ned = Rotation.from_euler("ZYX", angles).apply(body)
+    return time, np.stack([north, v_north, east, v_east], axis=-1), ned[:, :2]
+
+
+def _akit_file(folder: Path, kind: str, track: int) -> Path:
+    """The track's file, in the folder itself or in TrajectoryN as published."""
+    name = f"{kind}_trajectory{track}.csv"
+    for file in (folder / name, folder / f"Trajectory{track}" / name):
+        if file.exists():
+            return file
+    held = sorted(p.name for p in folder.glob("**/GT_trajectory*.csv"))
+    raise FileNotFoundError(
+        f"{folder} holds no {name}; its tracks: {', '.join(held) or 'none'}. Clone "
+        "github.com/ansfl/A-KIT and name its Data folder, or check track=."
+    )
+
+
+def _tangent_plane(reference: Table) -> tuple[Array, Array]:
+    """Metres north and east of the first sample, by the WGS-84 radii of curvature there.
+
+    Flat to a decimetre over the kilometre that a track spans.
+    """
+    latitude, longitude = reference.numbers("Latitude [rad]"), reference.numbers("Longitude [rad]")
+    height = reference.numbers("Altitude [m]")[0]
+    meridian, normal = radii_of_curvature(latitude[0])
+    north = (latitude - latitude[0]) * (meridian + height)
+    east = (longitude - longitude[0]) * (normal + height) * math.cos(latitude[0])
+    return north, east
+
+
+def _rows_of_four(model: LinearModel) -> Array:
+    if getattr(model, "n", None) != 4 or not hasattr(model, "H"):
+        raise ValueError(
+            "model must be a navgym.LinearModel of the states [Px, Vx, Py, Vy], "
+            f"got {type(model).__name__} of {getattr(model, 'n', '?')} states."
+        )
+    return np.asarray(model.H)

@@ -1,0 +1,195 @@
+"""The bending deck as a `Problem`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
+
+from navgym.deck import spaces
+from navgym.deck.catalogue import CATALOGUE
+from navgym.deck.conditions import DeckRanges, draw, shifts
+from navgym.deck.settings import DeckDeformationSettings
+from navgym.dual_imu import DualIMURecording
+from navgym.metrics.measures import Measure, Quantity, by_name
+from navgym.problem import (
+    Amount,
+    Contest,
+    Environment,
+    Filter,
+    Preset,
+    Problem,
+    Rival,
+    Scoring,
+    Steering,
+    Study,
+    Training,
+    lazy,
+)
+from navgym.scenarios.deck import DECK_CATALOGUE, DeckScenario
+
+# The correntropy criterion against glitches, and off elsewhere.
+_WIDTHS = {"calm": 50.0, "swell": 50.0, "slam": 50.0, "glitch": 2.0}
+_SWITCHING = ("switch-60", "switch-30", "switch-gyro")
+# what a lane of the environment runs while nobody identifies: every parameter of idam, the flexure
+# as believed
+STEERED = replace(CATALOGUE["alignment_mcc"], space=spaces.IDAM)
+
+
+def _guess(batch: Any) -> dict[str, list[float]]:
+    """The kernel narrow where there are glitches, and off elsewhere."""
+    regimes = batch.recordings[0].meta["regimes"]
+    return {"kernel_width": [2.0 if "glitch" in name else 50.0 for name in regimes]}
+
+
+def _replayed(names: Sequence[str]) -> Filter:
+    """The filter that a lane runs: idam itself where the agent sets how the flexure is identified."""
+    return CATALOGUE["idam"] if "rvm_kernel_scale" in names else STEERED
+
+
+def _score(settings: Any, gains: Mapping[str, float]) -> float:
+    """Gains weighed as the environment's composite reward weighs them."""
+    ac, price = float(settings.ac_weight), float(settings.theta_price)
+    worse = min(gains["theta_rmse"], 0.0)
+    return gains["theta_rate_rmse"] + ac * gains["theta_ac_rmse"] + price * worse
+
+
+_QUANTITIES = {
+    q.name: q
+    for q in (
+        Quantity("theta_rate", "θ̇ RMSE", "′/s"),
+        Quantity("theta_ac", "θ_ac RMSE", "′"),
+        Quantity("theta", "θ RMSE", "′"),
+        Quantity("attitude", "attitude RMSE", "′"),
+    )
+}
+_RATE, _AC, _THETA, _ATTITUDE = _QUANTITIES.values()
+
+SCORING = Scoring(
+    quantities=MappingProxyType(_QUANTITIES),
+    measures=by_name(
+        Measure(
+            "composite",
+            "θ̇ and the fast part of θ, each over the plain filter's; θ may grow by 2 % at most",
+            (_RATE, _AC),
+            ((_THETA, 0.02),),
+        ),
+        Measure("theta_rate", "RMSE of θ̇, ′/s", (_RATE,)),
+        Measure("theta_ac", "RMSE of θ less its 60 s mean, ′", (_AC,)),
+        Measure("theta", "RMSE of θ, ′", (_THETA,)),
+        Measure("attitude", "RMSE of the total attitude, ′", (_ATTITUDE,)),
+    ),
+    errors=lazy("navgym.deck.scoring:errors"),
+    squared=lazy("navgym.deck.scoring:squared"),
+    scored=lazy("navgym.deck.scoring:scored"),
+    nees=lazy("navgym.deck.scoring:nees"),
+    settling=60.0,
+    at_once=1,
+)
+
+STEERING = Steering(
+    filter="alignment_mcc",
+    free=("kernel_width",),
+    scheduled=("kernel_width",),
+    fixed={},
+    first=(),
+    measures=("theta_rate", "theta_ac", "theta"),
+    beside=("alignment",),
+    amount=Amount(60, 16, 16, 60),
+    quick=Amount(4, 2, 2, 2),
+    quick_overrides={},
+    guess=_guess,
+)
+
+STUDY = Study(
+    filter="alignment_mcc",
+    scenario="deck/switch-60",
+    amount=Amount(60, 16, 16, 60),
+    free=(),
+    referred=("alignment_mcc", "idam", "idam_printed", "svram", "woam"),
+    beside=("alignment", "alignment_mcc", "idam"),
+    steering=STEERING,
+    tables={n: {g: {"kernel_width": w} for g, w in _WIDTHS.items()} for n in _SWITCHING},
+)
+
+ENVIRONMENT = Environment(
+    id="navgym/DeckDeformation-v0",
+    settings=DeckDeformationSettings,
+    engine=lazy("navgym.envs.deck_engine:DeckEngine"),
+    live=lazy("navgym.envs.deck_live:LiveDeck"),
+    steered=("kernel_width",),
+    replayed=_replayed,
+    score=_score,
+)
+
+TRAINING = Training(
+    ranges=DeckRanges,
+    draw=draw,
+    presets={
+        "deck": Preset(
+            "kernel width of the deck filter, twice a second; what agents/pretrained holds",
+            {
+                "environment": ENVIRONMENT.id, "scenarios": ("deck/switch-60", "deck/switch-gyro"),
+                "reward": "composite", "action_parameters": ("kernel_width",),
+                "decision_interval": 10, "decisions": 300_000, "recipe": {"gamma": 0.95},
+                "pool": 64, "validation": 16, "interval": 50_000,
+            },
+        ),
+    },
+)  # fmt: skip
+
+CONTEST = Contest(
+    quantities=("theta_rate", "theta_ac", "theta", "attitude"),
+    everywhere=("theta_rate", "theta_ac", "theta"),  # the attitude takes as long as the filters
+    rivals=(
+        Rival("MCC off", "alignment", about="the plain filter: without correntropy"),
+        Rival("oracle", "oracle", about="told the true flexure and noises of every step: a bound", bound=True),
+    ),
+    hand_rule=lazy("navgym.deck.rule:ResidualSign"),
+    rule="the sign of what follows a large gyro residual",
+    default="alignment_mcc",
+    highlight="",
+    top="true-regime table",
+    # the bound knows the regime from the first step on, everybody else may begin badly in a glitch
+    yardstick="MCC off",
+    own=200,
+    other=30,  # policies run with their fallback there: a recording takes seconds
+    quick_own=8,
+    quick_other=4,
+    chunk=10,
+    judged=1,
+    others=("deck/switch-gyro", "deck/switch-30", "deck/switch-60"),
+    shifts=shifts,
+    quick_shifts=("15 s segments",),
+    quick={"duration": 240.0},
+    shift_first_only=True,
+    streams_own=False,
+)  # fmt: skip
+
+PROBLEM = Problem(
+    name="deck",
+    title="Deck",
+    recording=DualIMURecording,
+    scenario=DeckScenario,
+    scenarios=DECK_CATALOGUE,
+    simulate=lazy("navgym.simulation.deck:simulate"),
+    brief={"duration": 4.0},
+    readers={
+        "deck_csv": "navgym.deck_log:read_deck_csv",
+        "multi_imu": "navgym.dual_readers:read_multi_imu",
+        "repoimu": "navgym.dual_readers:read_repoimu",
+    },
+    filters=CATALOGUE,
+    stack=lazy("navgym.deck_batch:DeckBatch.of"),
+    runner=lazy("navgym.deck_estimation:run"),
+    estimate=lazy("navgym.deck_estimation:estimate"),
+    kernels=lazy("navgym.deck.warm:kernels"),
+    plain=("alignment",),
+    bound="oracle",
+    scoring=SCORING,
+    study=STUDY,
+    environment=ENVIRONMENT,
+    training=TRAINING,
+    contest=CONTEST,
+)

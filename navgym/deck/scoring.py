@@ -1,0 +1,61 @@
+"""What a deck's estimates are judged by: deformation, its rate, and attitude."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navgym._checks import Array
+from navgym.deck_batch import DeckBatch
+from navgym.filters.alignment import FLEXING
+from navgym.metrics.consistency import nees as normalised
+from navgym.metrics.deck import START, deck_errors, run_errors
+from navgym.problem import Run, Span
+
+
+def errors(batch: DeckBatch, states: Array, names: Sequence[str], span: Span) -> dict[str, Array]:  # noqa: ARG001
+    """RMSE of θ̇, of the fast part of θ, of θ and of the attitude, by name; see `Scoring.errors`.
+
+    Errors against the truth count from `START` on, whatever the span.
+    """
+    norm = deck_errors(batch, states, attitude="attitude" in names).norm
+    return {name: norm[name] for name in names}
+
+
+def squared(batch: DeckBatch, states: Array, name: str, span: Span) -> Array:  # noqa: ARG001
+    """Squared lengths of errors over time (N, K), arcmin² (of θ̇: (arcmin/s)²)."""
+    found = np.full(states.shape[:2], np.nan)
+    for i, length in enumerate(batch.lengths):
+        error = run_errors(batch, i, states[i, :length], name == "attitude")[name]
+        found[i, :length] = (error**2).sum(axis=1)
+    return found
+
+
+def scored(batch: DeckBatch, span: Span) -> NDArray[np.bool_]:
+    """Which steps' innovations (N, K) are judged: within the span, the alignment left out.
+
+    Raises ValueError for a recording that is shorter than that.
+    """
+    begin = round(START / batch.step)
+    first, last = (np.array([round(share * n) for n in batch.lengths]) for share in span)
+    first = np.maximum(first, begin)
+    for low, high in zip(first, last, strict=True):
+        if low >= high:
+            raise ValueError(
+                f"recordings must be longer than the {START:g} s that are not scored, got "
+                f"{high * batch.step:g} s."
+            )
+    k = np.arange(batch.steps)
+    inside: NDArray[np.bool_] = (k >= first[:, None]) & (k < last[:, None])
+    return inside
+
+
+def nees(batch: DeckBatch, run: Run) -> Array:
+    """Normalised error squared of θ and θ̇ per degree of freedom, (N, K)."""
+    truth = batch.truth
+    assert truth is not None
+    own, P = run.states[..., FLEXING], run.covariances[..., FLEXING, FLEXING]
+    found: Array = normalised(own, P, truth) / truth.shape[-1]
+    return found

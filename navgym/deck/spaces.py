@@ -1,0 +1,44 @@
+"""The tunables of the deck's filters, declared once; rows stand in the order of the kernels' columns."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from navgym.filters.spaces import PROCESS
+from navgym.parameters import Parameter, ParameterSpace
+
+KERNEL_WIDTH = Parameter(
+    "kernel_width", "σ", "1", 1.5, 50.0, "log", 10.0,
+    equation="of the correntropy kernel (IDAM eq. 45, 53); at 50 the criterion is off",
+)  # fmt: skip
+VELOCITY_NOISE = Parameter(
+    "velocity_noise", "r_V", "m/s", 0.01, 3.0, "log", 0.2,
+    equation="std of a velocity difference (w_k of IDAM eq. 78)",
+)  # fmt: skip
+MODEL_ERROR_WEIGHT = Parameter(
+    "model_error_weight", "A", "1", 1e-3, 1e6, "log", 1e6,
+    equation="cost of a predicted model error, in units of dt/q (IDAM eq. 39-40); at 1e6 it is off",
+)  # fmt: skip
+DECK_PROCESS = replace(
+    PROCESS, low=0.01, high=100.0, equation="multiplies the flexure's Q (IDAM eq. 3, corrected)"
+)
+RVM_KERNEL_SCALE = Parameter(
+    "rvm_kernel_scale", "s", "s", 0.5, 32.0, "log", 2.0,
+    equation="of the relevance vector machine's Gaussian kernel over lags (IDAM eq. 25)",
+)  # fmt: skip
+IDENTIFICATION_WINDOW = Parameter(
+    "identification_window", "W", "s", 60.0, 600.0, "log", 120.0, at_start=True,
+    equation="length of the records that the flexure is identified from (IDAM 3.2)",
+)  # fmt: skip
+
+ALIGNMENT = ParameterSpace((VELOCITY_NOISE, DECK_PROCESS))
+ALIGNMENT_MCC = ParameterSpace((KERNEL_WIDTH, VELOCITY_NOISE, DECK_PROCESS))
+_ROBUST = (KERNEL_WIDTH, VELOCITY_NOISE, MODEL_ERROR_WEIGHT, DECK_PROCESS)
+IDAM = ParameterSpace((*_ROBUST, RVM_KERNEL_SCALE, IDENTIFICATION_WINDOW))
+IDENTIFIED = ParameterSpace((*_ROBUST, IDENTIFICATION_WINDOW))
+IDAM_PRINTED = ParameterSpace(
+    (
+        KERNEL_WIDTH, VELOCITY_NOISE, replace(MODEL_ERROR_WEIGHT, default=10.0), DECK_PROCESS,
+        RVM_KERNEL_SCALE, IDENTIFICATION_WINDOW,
+    )
+)  # fmt: skip

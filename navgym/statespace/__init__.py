@@ -1,0 +1,1 @@
+"""Filters of any state-space model: models, recordings, batches, kernels."""
