@@ -10,23 +10,23 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 _HOME = {
-    "Combiner": "agents.combiner",
-    "Policy": "agents.policy",
-    "SelfTuningFilter": "agents.streaming",
-    "shipped": "agents.policy",
+    "Combiner": "navgym.agents.combiner.combiner",
+    "Policy": "navgym.agents.policies.policy",
+    "SelfTuningFilter": "navgym.agents.live.streaming",
+    "shipped": "navgym.agents.policies.policy",
 }
 
 __all__ = ["Combiner", "Policy", "SelfTuningFilter", "shipped"]
 
 if TYPE_CHECKING:
-    from agents.combiner import Combiner
-    from agents.policy import Policy, shipped
-    from agents.streaming import SelfTuningFilter
+    from navgym.agents.combiner.combiner import Combiner
+    from navgym.agents.live.streaming import SelfTuningFilter
+    from navgym.agents.policies.policy import Policy, shipped
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
-        raise AttributeError(f"module 'agents' has no attribute {name!r}")
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(importlib.import_module(_HOME[name]), name)
     globals()[name] = value
     return value

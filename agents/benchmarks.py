@@ -9,20 +9,20 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from navgym.agents.combiner.combiner import BANK, Combiner
+from navgym.agents.live.streaming import SelfTuningFilter
+from navgym.agents.policies.manifest import Manifest
+from navgym.agents.policies.policy import PRETRAINED, Policy, shipped
+from navgym.agents.training import learners
+from navgym.agents.training.configuration import Configuration
+from navgym.agents.training.material import material
+from navgym.agents.training.vec_env import LaneVecEnv
+from navgym.tuning.benchmarks.timing import Row, measured, paired
+from navgym.tuning.cases import Cases
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, VecNormalize
 
 import navgym
-from agents import learners
-from agents.combiner import BANK, Combiner
-from agents.configuration import Configuration
-from agents.manifest import Manifest
-from agents.material import material
-from agents.policy import PRETRAINED, Policy, shipped
-from agents.streaming import SelfTuningFilter
-from agents.vec_env import LaneVecEnv
-from tuning.benchmarks.timing import Row, measured, paired
-from tuning.cases import Cases
 
 FEW = 16  # single environments that stand for the usual way
 CALLS = 2000

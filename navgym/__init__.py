@@ -17,26 +17,26 @@ from navgym.problem import register_environments
 __version__ = "0.1.0"
 
 _HOME = {
-    "CoordinatedTurnModel": "navgym.turn_model",
-    "DeckEstimate": "navgym.deck_estimation",
-    "DeckModel": "navgym.deck_model",
-    "DualIMURecording": "navgym.dual_imu",
+    "CoordinatedTurnModel": "navgym.statespace.turn_model",
+    "DeckEstimate": "navgym.deck.estimation",
+    "DeckModel": "navgym.deck.model",
+    "DualIMURecording": "navgym.deck.recording",
     "Estimate": "navgym.estimation",
-    "FlexureModel": "navgym.flexure",
-    "LinearModel": "navgym.models",
-    "Parameter": "navgym.parameters",
-    "ParameterSpace": "navgym.parameters",
-    "Recording": "navgym.recording",
+    "FlexureModel": "navgym.identification.flexure",
+    "LinearModel": "navgym.statespace.models",
+    "Parameter": "navgym.core.parameters",
+    "ParameterSpace": "navgym.core.parameters",
+    "Recording": "navgym.statespace.recording",
     "estimate": "navgym.estimation",
-    "flexure_increments": "navgym.deck_estimation",
+    "filters": "navgym.estimation",
+    "flexure_increments": "navgym.deck.estimation",
     "identify": "navgym.identification",
     "parameter_space": "navgym.estimation",
     "read": "navgym.readers",
-    "seeds": "navgym.scenarios.seeds",
+    "scenarios": "navgym.simulation",
+    "seeds": "navgym.core.seeds",
     "simulate": "navgym.simulation",
 }
-
-_PACKAGES = ("filters", "scenarios")  # callable: see navgym._callable
 
 __all__ = [
     "CoordinatedTurnModel",
@@ -62,24 +62,22 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from navgym.deck_estimation import DeckEstimate, flexure_increments
-    from navgym.deck_model import DeckModel
-    from navgym.dual_imu import DualIMURecording
+    from navgym.core.parameters import Parameter, ParameterSpace
+    from navgym.core.seeds import seeds
+    from navgym.deck.estimation import DeckEstimate, flexure_increments
+    from navgym.deck.model import DeckModel
+    from navgym.deck.recording import DualIMURecording
     from navgym.estimation import Estimate, estimate, filters, parameter_space
-    from navgym.flexure import FlexureModel
     from navgym.identification import identify
-    from navgym.models import LinearModel
-    from navgym.parameters import Parameter, ParameterSpace
+    from navgym.identification.flexure import FlexureModel
     from navgym.readers import read
-    from navgym.recording import Recording
-    from navgym.scenarios.seeds import seeds
     from navgym.simulation import scenarios, simulate
-    from navgym.turn_model import CoordinatedTurnModel
+    from navgym.statespace.models import LinearModel
+    from navgym.statespace.recording import Recording
+    from navgym.statespace.turn_model import CoordinatedTurnModel
 
 
 def __getattr__(name: str) -> Any:
-    if name in _PACKAGES:
-        return importlib.import_module(f"navgym.{name}")
     if name not in _HOME:
         raise AttributeError(f"module 'navgym' has no attribute {name!r}")
     value = getattr(importlib.import_module(_HOME[name]), name)

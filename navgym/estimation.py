@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any, Self, overload
 
 from numpy.typing import ArrayLike
 
-from navgym._checks import Array
-from navgym.parameters import ParameterSpace
+from navgym.core.checks import Array
+from navgym.core.parameters import ParameterSpace
 from navgym.problem import Problem, Run, problem_of, problems, problems_with
 from navgym.tuned import settled
 
 if TYPE_CHECKING:
-    from navgym.deck_estimation import DeckEstimate
-    from navgym.dual_imu import DualIMURecording
-    from navgym.recording import Recording
+    from navgym.deck.estimation import DeckEstimate
+    from navgym.deck.recording import DualIMURecording
+    from navgym.statespace.recording import Recording
 
 Parameters = Mapping[str, Any] | ArrayLike | str | os.PathLike[str] | None
 

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from navgym._checks import Array, one_of, positive_int
-from navgym.parameters import ParameterSpace, parameter_table
+from navgym.core.checks import Array, one_of, positive_int
+from navgym.core.parameters import ParameterSpace, parameter_table
 
 if TYPE_CHECKING:
     from navgym.metrics.measures import Measure, Quantity
@@ -538,8 +538,8 @@ class Registered:
 
 # a problem is a folder and a line here
 REGISTERED: dict[str, Registered] = {
-    "auv": Registered("navgym.auv.problem:PROBLEM", "navgym/AUVDropout-v0", "navgym.envs.auv:AUVDropoutEnv"),
-    "deck": Registered("navgym.deck.problem:PROBLEM", "navgym/DeckDeformation-v0", "navgym.envs.deck:DeckDeformationEnv"),
+    "auv": Registered("navgym.auv.problem:PROBLEM", "navgym/AUVDropout-v0", "navgym.auv.environment:AUVDropoutEnv"),
+    "deck": Registered("navgym.deck.problem:PROBLEM", "navgym/DeckDeformation-v0", "navgym.deck.environment:DeckDeformationEnv"),
 }  # fmt: skip
 
 

@@ -11,12 +11,12 @@ import os
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal, overload
 
-from navgym._checks import one_of
+from navgym.core.checks import one_of
 from navgym.problem import load, problems
 
 if TYPE_CHECKING:
-    from navgym.dual_imu import DualIMURecording
-    from navgym.recording import Recording
+    from navgym.deck.recording import DualIMURecording
+    from navgym.statespace.recording import Recording
 
     _Name = str | os.PathLike[str]
 
@@ -40,14 +40,14 @@ def read(format_name: str, path: str | os.PathLike[str], /, **options: Any) -> A
     ===========  ===================================  =====================================
     format       holds                                options: see
     ===========  ===================================  =====================================
-    "csv"        your own log of positions            `navgym.csv_log.read_csv`
+    "csv"        your own log of positions            `navgym.auv.csv_log.read_csv`
     "akit"       A-KIT: an AUV, six tracks            `navgym.auv.akit.read_akit`
-    "deck_csv"   your own log of two IMUs on a deck   `navgym.deck_log.read_deck_csv`
-    "repoimu"    RepoIMU: a pendulum's segments       `navgym.dual_readers.read_repoimu`
-    "multi_imu"  two IMUs on a quadrotor              `navgym.dual_readers.read_multi_imu`
+    "deck_csv"   your own log of two IMUs on a deck   `navgym.deck.csv_log.read_deck_csv`
+    "repoimu"    RepoIMU: a pendulum's segments       `navgym.deck.public_logs.read_repoimu`
+    "multi_imu"  two IMUs on a quadrotor              `navgym.deck.public_logs.read_multi_imu`
     ===========  ===================================  =====================================
 
-    The first two give a `navgym.Recording`, the others a `navgym.dual_imu.DualIMURecording`.
+    The first two give a `navgym.Recording`, the others a `navgym.deck.recording.DualIMURecording`.
 
     Args:
         format_name: which.

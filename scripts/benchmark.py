@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from tuning.benchmarks.timing import Row
+    from navgym.tuning.benchmarks.timing import Row
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 TITLES = {"auv": "the AUV", "deck": "the deck", "agents": "agents", "studies": "studies"}
@@ -33,7 +33,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=7, help="turns per pair (default: 7)")
     parser.add_argument("--write", action="store_true", help="write docs/benchmarks-PART.md")
     options = parser.parse_args()
-    from tuning.benchmarks.timing import as_markdown
+    from navgym.tuning.benchmarks.timing import as_markdown
 
     rows = _part(options.part)(options.rounds)
     text = as_markdown(options.part, TITLES[options.part], rows)
@@ -45,10 +45,10 @@ def main() -> None:
 def _part(name: str) -> Callable[[int], list[Row]]:
     """What measures `name`; only its own packages are imported."""
     if name == "agents":
-        from agents.benchmarks import agents
+        from navgym.agents.benchmarks import agents
 
         return agents
-    from tuning.benchmarks import auv, deck, studies
+    from navgym.tuning.benchmarks import auv, deck, studies
 
     return {"auv": auv.auv, "deck": deck.deck, "studies": studies.studies}[name]
 

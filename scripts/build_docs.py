@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
+from navgym.agents.training.configuration import markdown as configuration_table
 
-from agents.configuration import markdown as configuration_table
 from navgym.problem import Filter, Problem, environments, problems
 from navgym.simulation import find_scenario
 

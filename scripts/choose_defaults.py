@@ -21,14 +21,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from navgym.tuning.cases import Cases
+from navgym.tuning.objectives import GeometricMean, Guarded, Objective
+from navgym.tuning.report.page import write_json
+from navgym.tuning.study.run import search
+from navgym.tuning.study.selection import confirm, rounded
 
 from navgym.auv.problem import PROBLEM
-from navgym.models import LinearModel
-from tuning.cases import Cases
-from tuning.objective import GeometricMean, Guarded, Objective
-from tuning.report import write_json
-from tuning.selection import confirm, rounded
-from tuning.study import search
+from navgym.statespace.models import LinearModel
 
 FILTER = "qivbf"
 SWEEPS = {"vb_iterations": 5}  # converged (SCIENCE A3), and what a step may cost

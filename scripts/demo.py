@@ -45,7 +45,7 @@ def parse() -> argparse.Namespace:
 def main() -> int:
     """Run the demo; returns the exit status."""
     options = parse()
-    from tuning import demo
+    from navgym.tuning import demo
 
     began = time.perf_counter()
     size = demo.QUICK if options.quick else demo.FULL
@@ -68,7 +68,8 @@ def main() -> int:
 
 def show(options: argparse.Namespace, size: object, began: float) -> int:
     """Run, write the page and the results, print the table and the path."""
-    from tuning import demo, report
+    from navgym.tuning import demo
+    from navgym.tuning.report import page as report
 
     assert isinstance(size, demo.DemoAmount)
     folder = options.data or (BESIDE if BESIDE.is_dir() else None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from agents.evaluation_command import main
+from navgym.agents.evaluation.command import main
 
 if __name__ == "__main__":
     sys.exit(main())

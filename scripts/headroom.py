@@ -33,8 +33,8 @@ def main() -> int:
     add("--out", type=Path, default=Path("runs/headroom"), help="folder (default: %(default)s)")
     add("--quick", action="store_true", help="a few recordings and trials, only to see it run")
     options = parser.parse_args()
-    from tuning import headroom
-    from tuning.executors import workers
+    from navgym.tuning import headroom
+    from navgym.tuning.study.executors import workers
 
     found = []
     try:

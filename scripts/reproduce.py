@@ -61,7 +61,9 @@ def parse() -> argparse.Namespace:
 
 def deck(options: argparse.Namespace) -> int:
     """Reproduce the deck figures."""
-    from tuning import deck_reproduction, report, reproduction
+    from navgym.tuning.papers import idam as deck_reproduction
+    from navgym.tuning.papers import qivbf as reproduction
+    from navgym.tuning.report import page as report
 
     began = time.perf_counter()
     size = deck_reproduction.QUICK if options.quick else deck_reproduction.FULL
@@ -97,7 +99,8 @@ def shown(parts: Iterable[Any]) -> list[Any]:
 
 def auv(options: argparse.Namespace) -> int:
     """Reproduce the AUV figures."""
-    from tuning import report, reproduction
+    from navgym.tuning.papers import qivbf as reproduction
+    from navgym.tuning.report import page as report
 
     began = time.perf_counter()
     size = reproduction.QUICK if options.quick else reproduction.FULL

@@ -45,8 +45,8 @@ def main() -> int:
     options = parse()
     # a broken byte spoils its line, not the stream
     sys.stdin.reconfigure(errors="replace")  # type: ignore[union-attr]
-    from agents import Policy
-    from agents.live_csv import Noise, estimates
+    from navgym.agents import Policy
+    from navgym.agents.live.lines import Noise, estimates
 
     try:
         policy = Policy.load(options.policy)

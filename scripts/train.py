@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from agents.command import main
+from navgym.agents.training.command import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -27,8 +27,10 @@ import time
 
 def main() -> int:
     """Tune and report; returns the exit status."""
-    from tuning import command, tune, tune_report
-    from tuning.settings import StudySettings
+    from navgym.tuning import tune
+    from navgym.tuning.commands import parse as command
+    from navgym.tuning.report import study as tune_report
+    from navgym.tuning.settings import StudySettings
 
     began = time.perf_counter()
     try:

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 import navgym
-from navgym.batch import Batch, outputs
-from navgym.filters import bank
 from navgym.problem import PROBLEMS
+from navgym.statespace.batch import Batch, outputs
+from navgym.statespace.filters import bank
 
 SIZES = ((1, 1), (2, 1), (4, 4), (8, 3))  # every (n, m) costs seconds of compilation once
 STEPS = 12

@@ -78,10 +78,9 @@ def test_every_public_name_loads_and_is_listed():
 
 @pytest.mark.parametrize("first", ["simulate", "estimate", "filters", "scenarios", "seeds"])
 def test_listings_can_be_called_whatever_was_used_before(first):
-    """`filters` and `scenarios` are packages too: importing their modules must not hide the call."""
     code = (
-        f"import navgym; navgym.{first}; import navgym.filters.spaces, navgym.scenarios.seeds; "
-        "print('kf' in navgym.filters(), 'auv/tvr' in navgym.scenarios(), navgym.filters.spaces)"
+        f"import navgym; navgym.{first}; import navgym.statespace.filters.spaces, navgym.core.seeds; "
+        "print('kf' in navgym.filters(), 'auv/tvr' in navgym.scenarios(), navgym.statespace.filters.spaces)"
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.startswith("True True <module")

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import navgym
-from navgym.batch import Batch
-from navgym.filters.catalogue import CATALOGUE
+from navgym.statespace.batch import Batch
+from navgym.statespace.filters.catalogue import CATALOGUE
 from tests.helpers import identical, lane, run
 
 RECORDING = navgym.simulate("auv/switch-D", 1, steps=83)

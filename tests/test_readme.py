@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import navgym
-from navgym.csv_log import write_csv
+from navgym.auv.csv_log import write_csv
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()

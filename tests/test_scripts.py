@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from navgym.scenarios import split_of
+from navgym.core.seeds import split_of
 
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS = sorted(p.name for p in (ROOT / "scripts").glob("*.py"))

@@ -8,14 +8,14 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from navgym.tuning.study.recipes import Recipe, remake, travelling
 from numpy.typing import NDArray
 
-from navgym._checks import Array
+from navgym.core.checks import Array
+from navgym.core.seeds import seeds
 from navgym.metrics.measures import BLIND, Judged, bounded, innovation_quantities
 from navgym.problem import Problem, Run, problem_of
-from navgym.scenarios import seeds
 from navgym.simulation import find_scenario, simulate_many
-from tuning.recipes import Recipe, remake, travelling
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class Cases:
         batch: the stacked recordings.
         about: provenance as JSON can hold it: scenario, seeds, overrides.
         span: shares of each recording between which it is scored, 0 to 1.
-        recipe: how they were made, if they can be made again; see `tuning.recipes`.
+        recipe: how they were made, if they can be made again; see `navgym.tuning.study.recipes`.
     """
 
     problem: Problem

@@ -8,15 +8,15 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from navgym.tuning.cases import Cases
+from navgym.tuning.objectives import checked_measure, plain_quantities
 from scipy import stats
 from tqdm import tqdm
 
-from navgym._checks import Array, one_of
+from navgym.core.checks import Array, one_of
 from navgym.metrics import PairedDifference, paired_difference, score
 from navgym.metrics.measures import Judged, Measure
 from navgym.problem import Problem
-from tuning.cases import Cases
-from tuning.objective import checked_measure, plain_quantities
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000

@@ -13,7 +13,7 @@ from typing import Any, Literal, TypeVar
 
 import tomli_w
 
-from navgym._checks import one_of
+from navgym.core.checks import one_of
 
 S = TypeVar("S")
 

@@ -7,19 +7,25 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from navgym.tuning.cases import Cases
+from navgym.tuning.comparison import Comparison, Entry, compare
+from navgym.tuning.experiments import (
+    best_fixed,
+    cross_tuned,
+    error_by_regime,
+    per_track,
+    real_cases,
+)
+from navgym.tuning.objectives import Objective
+from navgym.tuning.papers.contenders import UNTUNED, bank_beliefs, linear_filters, nonlinear_filters
+from navgym.tuning.report import plots, tables, words
+from navgym.tuning.report.page import Figure, Page, Section, Table, Tile
+from navgym.tuning.study.run import Outcome, Trial
 from tqdm import tqdm
 
 import navgym
 from navgym.auv.problem import PROBLEM, STEERED, TRACKS
 from navgym.simulation import find_scenario
-from tuning import plots, tables, words
-from tuning.auv_contenders import UNTUNED, bank_beliefs, linear_filters, nonlinear_filters
-from tuning.cases import Cases
-from tuning.comparison import Comparison, Entry, compare
-from tuning.experiments import best_fixed, cross_tuned, error_by_regime, per_track, real_cases
-from tuning.objective import Objective
-from tuning.report import Figure, Page, Section, Table, Tile
-from tuning.study import Outcome, Trial
 
 SCENARIO = "auv/switch-D"
 DEFAULT, TUNED, UNTUNED_LABEL = "qivbf", "qivbf, tuned", "qivbf, untuned"

@@ -8,17 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from navgym.tuning.cases import Cases
+from navgym.tuning.comparison import Comparison, Entry
+from navgym.tuning.objectives import Objective
+from navgym.tuning.schedule import RegimeTable
+from navgym.tuning.study.recipes import travelling
+from navgym.tuning.study.run import Outcome, Search, Trial, search
+from navgym.tuning.study.selection import confirm
 
 import navgym
-from navgym._checks import Array
+from navgym.core.checks import Array
 from navgym.problem import Problem, Steering, Tracks, problem_of
-from tuning.cases import Cases
-from tuning.comparison import Comparison, Entry
-from tuning.objective import Objective
-from tuning.recipes import travelling
-from tuning.schedule import RegimeTable
-from tuning.selection import confirm
-from tuning.study import Outcome, Search, Trial, search
 
 # ---- tuning
 
@@ -44,7 +44,7 @@ def best_fixed(
         trials: finished trials of the study, or how to search.
         seed: of the sampler.
         runs: recordings per trial, and again on the validation seeds.
-        journal: keeps the study; see `tuning.study.search`.
+        journal: keeps the study; see `navgym.tuning.study.run.search`.
         free: parameters to vary; by default what a study of the problem varies.
         first: parameter sets to try early.
         fixed: values of the others; their defaults where it says nothing.

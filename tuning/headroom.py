@@ -9,16 +9,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from navgym._checks import one_of
+from navgym.tuning.cases import Cases
+from navgym.tuning.comparison import Comparison, Entry, compare
+from navgym.tuning.experiments import best_fixed, regime_table, steering_of
+from navgym.tuning.papers import expected
+from navgym.tuning.papers import expected_idam as deck_expected
+from navgym.tuning.papers.expected import Check
+from navgym.tuning.report import page as report
+from navgym.tuning.report import plots, tables
+from navgym.tuning.report.page import Figure, Page, Section, Table
+from navgym.tuning.study.run import Search
+
+from navgym.core.checks import one_of
 from navgym.problem import Amount, problem_of
 from navgym.simulation import scenarios
-from tuning import deck_expected, expected, plots, report, tables
-from tuning.cases import Cases
-from tuning.comparison import Comparison, Entry, compare
-from tuning.expected import Check
-from tuning.experiments import best_fixed, regime_table, steering_of
-from tuning.report import Figure, Page, Section, Table
-from tuning.study import Search
 
 FIXED, TABLE = "best fixed", "table by true regime"
 

@@ -7,12 +7,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from navgym.tuning.cases import Cases
+from navgym.tuning.objectives import Evaluation, checked_measure, plain_quantities
 
-from navgym._checks import Array
+from navgym.core.checks import Array
+from navgym.core.parameters import ParameterSpace
 from navgym.metrics.measures import METRICS, bounded
-from navgym.parameters import ParameterSpace
-from tuning.cases import Cases
-from tuning.objective import Evaluation, checked_measure, plain_quantities
 
 
 class RegimeTable:
@@ -26,7 +26,7 @@ class RegimeTable:
         scheduled: names of the parameters that follow the regime.
         cases: simulated recordings of one scenario.
         fixed: the other parameters.
-        measure: the loss of a run, as for `tuning.objective.Objective`.
+        measure: the loss of a run, as for `navgym.tuning.objectives.Objective`.
 
     Raises ValueError for recordings without regimes.
     """

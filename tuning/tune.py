@@ -9,21 +9,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from navgym.tuning.cases import Cases
+from navgym.tuning.comparison import Comparison, Entry, compare
+from navgym.tuning.objectives import Costed, InstanceGoal, Objective, Pooled, find_measure
+from navgym.tuning.settings import StudySettings
+from navgym.tuning.stages import Stages, stages
+from navgym.tuning.study import racing
+from navgym.tuning.study.executors import workers
+from navgym.tuning.study.run import Outcome, Search, Trial, search
+from navgym.tuning.study.selection import TOP, confirm
+from navgym.tuning.study.sensitivity import Sweep, importances, sweeps
 from tqdm import tqdm
 
 from navgym.metrics.measures import CONSISTENCY, LIKELIHOOD
 from navgym.simulation import find_scenario
 from navgym.tuned import read_tuned
-from tuning import racing
-from tuning.cases import Cases
-from tuning.comparison import Comparison, Entry, compare
-from tuning.executors import workers
-from tuning.objective import Costed, InstanceGoal, Objective, Pooled, find_measure
-from tuning.selection import TOP, confirm
-from tuning.sensitivity import Sweep, importances, sweeps
-from tuning.settings import StudySettings
-from tuning.stages import Stages, stages
-from tuning.study import Outcome, Search, Trial, search
 
 DEFAULT, TUNED = "{}, default", "{}, tuned"
 KNOWN, TRUTH = "{}, best known", "{}, tuned with the truth"

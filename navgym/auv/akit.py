@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from navgym._checks import Array, positive_int, within
-from navgym._tables import Table, read_table
+from navgym.auv.scenarios import Loss
+from navgym.auv.simulation import draw_losses
+from navgym.core.checks import Array, positive_int, within
+from navgym.core.seeds import split_of
+from navgym.core.tables import Table, read_table
 from navgym.inertial.earth import radii_of_curvature
-from navgym.models import LinearModel, step_of
-from navgym.recording import Recording
-from navgym.scenarios import Loss, split_of
-from navgym.simulation.auv import draw_losses
+from navgym.statespace.models import LinearModel, step_of
+from navgym.statespace.recording import Recording
 
 STREAM = 0xA1  # first word of an A-KIT recording's seed sequence; the AUV simulator's is 0xA0
 
@@ -42,7 +43,7 @@ def read_akit(
     Args:
         path: the published Data folder, or any that holds DVL_trajectoryN.csv, GT_trajectoryN.csv.
         track: N.
-        loss: a `navgym.scenarios.Loss`, or the rate of independent losses.
+        loss: a `navgym.auv.scenarios.Loss`, or the rate of independent losses.
         seed: of noise and losses; take it from `navgym.seeds`. Each has a stream of its own, so
             that another loss leaves the noise as it was.
         position_noise: standard deviation of a position fix, m; the default model knows it.

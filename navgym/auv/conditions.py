@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from navgym._checks import span, within
-from navgym.scenarios.auv import AUVScenario, Loss
-from navgym.scenarios.draws import Range, log_uniform, pair
+from navgym.auv.scenarios import AUVScenario, Loss
+from navgym.core.checks import span, within
+from navgym.core.draws import Range, log_uniform, pair
 
 
 @dataclass(frozen=True)

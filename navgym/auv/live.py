@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from navgym._checks import Array, real_array, within
+from navgym.auv import kernels as K
+from navgym.auv.engine import linear, observation_names, station_of
 from navgym.auv.settings import AUVDropoutSettings
-from navgym.envs import kernels as K
+from navgym.core.checks import Array, real_array, within
+from navgym.core.health import NUMERICAL
 from navgym.envs.base import TALLY
-from navgym.envs.engine import linear, observation_names, station_of
 from navgym.envs.live import REFERENCE, LiveLane, flags, pooled
-from navgym.filters import kalman, qivbf
-from navgym.health import NUMERICAL
-from navgym.models import LinearModel
+from navgym.statespace.filters import kalman, qivbf
+from navgym.statespace.models import LinearModel
 
 JITTER = 0.1  # by how much of it a step may miss the one that the model was made for
 SAME_STEP = 1e-6  # relative difference of two steps that share a model, as in `models.step_of`

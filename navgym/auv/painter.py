@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navgym.envs.canvas import ESTIMATE, LOST, TRUTH, Canvas
-from navgym.filters import spaces
+from navgym.statespace.filters import spaces
 
 if TYPE_CHECKING:
-    from navgym.envs.engine import Engine
+    from navgym.auv.engine import Engine
 
 
 class Painter(Canvas):

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from navgym.auv.conditions import AUVRanges, draw
+from navgym.auv.scenarios import CATALOGUE as SCENARIOS
+from navgym.auv.scenarios import SHIFTS, AUVScenario
 from navgym.auv.settings import AUVDropoutSettings
-from navgym.batch import Batch
-from navgym.filters.catalogue import CATALOGUE
 from navgym.metrics.measures import Measure, Quantity, by_name
-from navgym.models import LinearModel
 from navgym.problem import (
     Amount,
     Contest,
@@ -28,9 +27,10 @@ from navgym.problem import (
     Training,
     lazy,
 )
-from navgym.recording import Recording
-from navgym.scenarios.auv import CATALOGUE as SCENARIOS
-from navgym.scenarios.auv import SHIFTS, AUVScenario
+from navgym.statespace.batch import Batch
+from navgym.statespace.filters.catalogue import CATALOGUE
+from navgym.statespace.models import LinearModel
+from navgym.statespace.recording import Recording
 
 # what matters in a variational filter
 STEERED = ("vb_iterations", "prior_count", "forgetting", "process_noise_scale")
@@ -116,7 +116,7 @@ STUDY = Study(
 ENVIRONMENT = Environment(
     id="navgym/AUVDropout-v0",
     settings=AUVDropoutSettings,
-    engine=lazy("navgym.envs.engine:Engine"),
+    engine=lazy("navgym.auv.engine:Engine"),
     live=lazy("navgym.auv.live:LiveAUV"),
     steered=("process_noise_scale", "forgetting"),
     replayed=_replayed,
@@ -182,9 +182,9 @@ PROBLEM = Problem(
     recording=Recording,
     scenario=AUVScenario,
     scenarios=SCENARIOS,
-    simulate=lazy("navgym.simulation.auv:simulate"),
+    simulate=lazy("navgym.auv.simulation:simulate"),
     brief={"steps": 10},
-    readers={"akit": "navgym.auv.akit:read_akit", "csv": "navgym.csv_log:read_csv"},
+    readers={"akit": "navgym.auv.akit:read_akit", "csv": "navgym.auv.csv_log:read_csv"},
     filters=CATALOGUE,
     stack=Batch.of,
     runner=lazy("navgym.statespace.run:run"),

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from navgym._checks import Array
+from navgym.core.checks import Array
 from navgym.envs.rules import HandRule, Signal
 
 

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from navgym._checks import Array
-from navgym.batch import Batch
+from navgym.core.checks import Array
 from navgym.metrics.consistency import nees as normalised
 from navgym.metrics.errors import run_rmse, squared_error
 from navgym.problem import Run, Span
+from navgym.statespace.batch import Batch
 
 WHOLE: Span = (0.0, 1.0)
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from navgym.auv.scenarios import AUVScenario
 from navgym.envs.settings import LaneSettings
-from navgym.filters import spaces
-from navgym.recording import Recording
-from navgym.scenarios.auv import AUVScenario
+from navgym.statespace.filters import spaces
+from navgym.statespace.recording import Recording
 
 
 @dataclass(frozen=True)

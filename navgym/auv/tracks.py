@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from navgym.auv.akit import read_akit
-from navgym.models import LinearModel
-from navgym.recording import Recording
 from navgym.simulation import simulate_many
+from navgym.statespace.models import LinearModel
+from navgym.statespace.recording import Recording
 
 STAND_IN_STEPS = 400
 

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from navgym.batch import Batch
-from navgym.filters import bank, combiner
-from navgym.filters.catalogue import CATALOGUE
 from navgym.problem import PROBLEMS
+from navgym.statespace.batch import Batch
+from navgym.statespace.filters import bank, combiner
+from navgym.statespace.filters.catalogue import CATALOGUE
 from navgym.warm import brief, play, stream
 
 SCENARIOS = ("nominal", "position-only", "component-loss", "coordinated-turn")

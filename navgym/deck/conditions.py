@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from navgym._checks import span, within
-from navgym.scenarios.deck import GUESS, DeckRegime, DeckScenario
-from navgym.scenarios.draws import Range, log_uniform, pair
+from navgym.core.checks import span, within
+from navgym.core.draws import Range, log_uniform, pair
+from navgym.deck.scenarios import GUESS, DeckRegime, DeckScenario
 
 
 @dataclass(frozen=True)

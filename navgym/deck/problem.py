@@ -10,8 +10,9 @@ from typing import Any
 from navgym.deck import spaces
 from navgym.deck.catalogue import CATALOGUE
 from navgym.deck.conditions import DeckRanges, draw, shifts
+from navgym.deck.recording import DualIMURecording
+from navgym.deck.scenarios import DECK_CATALOGUE, DeckScenario
 from navgym.deck.settings import DeckDeformationSettings
-from navgym.dual_imu import DualIMURecording
 from navgym.metrics.measures import Measure, Quantity, by_name
 from navgym.problem import (
     Amount,
@@ -27,7 +28,6 @@ from navgym.problem import (
     Training,
     lazy,
 )
-from navgym.scenarios.deck import DECK_CATALOGUE, DeckScenario
 
 # The correntropy criterion against glitches, and off elsewhere.
 _WIDTHS = {"calm": 50.0, "swell": 50.0, "slam": 50.0, "glitch": 2.0}
@@ -116,8 +116,8 @@ STUDY = Study(
 ENVIRONMENT = Environment(
     id="navgym/DeckDeformation-v0",
     settings=DeckDeformationSettings,
-    engine=lazy("navgym.envs.deck_engine:DeckEngine"),
-    live=lazy("navgym.envs.deck_live:LiveDeck"),
+    engine=lazy("navgym.deck.engine:DeckEngine"),
+    live=lazy("navgym.deck.live:LiveDeck"),
     steered=("kernel_width",),
     replayed=_replayed,
     score=_score,
@@ -173,17 +173,17 @@ PROBLEM = Problem(
     recording=DualIMURecording,
     scenario=DeckScenario,
     scenarios=DECK_CATALOGUE,
-    simulate=lazy("navgym.simulation.deck:simulate"),
+    simulate=lazy("navgym.deck.simulation:simulate"),
     brief={"duration": 4.0},
     readers={
-        "deck_csv": "navgym.deck_log:read_deck_csv",
-        "multi_imu": "navgym.dual_readers:read_multi_imu",
-        "repoimu": "navgym.dual_readers:read_repoimu",
+        "deck_csv": "navgym.deck.csv_log:read_deck_csv",
+        "multi_imu": "navgym.deck.public_logs:read_multi_imu",
+        "repoimu": "navgym.deck.public_logs:read_repoimu",
     },
     filters=CATALOGUE,
-    stack=lazy("navgym.deck_batch:DeckBatch.of"),
-    runner=lazy("navgym.deck_estimation:run"),
-    estimate=lazy("navgym.deck_estimation:estimate"),
+    stack=lazy("navgym.deck.batch:DeckBatch.of"),
+    runner=lazy("navgym.deck.estimation:run"),
+    estimate=lazy("navgym.deck.estimation:estimate"),
     kernels=lazy("navgym.deck.warm:kernels"),
     plain=("alignment",),
     bound="oracle",

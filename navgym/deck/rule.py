@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from navgym._checks import Array
+from navgym.core.checks import Array
 from navgym.envs.rules import HandRule, Signal
 
 

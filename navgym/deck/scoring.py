@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from navgym._checks import Array
-from navgym.deck_batch import DeckBatch
-from navgym.filters.alignment import FLEXING
+from navgym.core.checks import Array
+from navgym.deck.alignment import FLEXING
+from navgym.deck.batch import DeckBatch
+from navgym.deck.errors import START, deck_errors, run_errors
 from navgym.metrics.consistency import nees as normalised
-from navgym.metrics.deck import START, deck_errors, run_errors
 from navgym.problem import Run, Span
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from navgym._checks import one_of, within
+from navgym.core.checks import one_of, within
 from navgym.deck import spaces
-from navgym.dual_imu import DualIMURecording
+from navgym.deck.recording import DualIMURecording
+from navgym.deck.scenarios import DeckScenario
 from navgym.envs.settings import LaneSettings
-from navgym.scenarios.deck import DeckScenario
 
 FEATURES = ("all", "gyro")
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from navgym.filters.spaces import PROCESS
-from navgym.parameters import Parameter, ParameterSpace
+from navgym.core.parameters import Parameter, ParameterSpace
+from navgym.statespace.filters.spaces import PROCESS
 
 KERNEL_WIDTH = Parameter(
     "kernel_width", "σ", "1", 1.5, 50.0, "log", 10.0,

@@ -7,9 +7,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from navgym._checks import Array
-from navgym._compile import kernel, part
-from navgym.parameters import ParameterSpace
+from navgym.core.checks import Array
+from navgym.core.compile import kernel, part
+from navgym.core.parameters import ParameterSpace
 
 FLOOR = 0.05  # keeps logarithms of squares finite
 LIMIT = 5.0  # observations are clipped to plus or minus this

@@ -16,11 +16,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navgym._checks import Array, positive_int
-from navgym._compile import entry
+from navgym.core.checks import Array, positive_int
+from navgym.core.compile import entry
+from navgym.core.seeds import SIZE, seeds
 from navgym.envs.actions import action_table
 from navgym.envs.settings import LaneSettings
-from navgym.scenarios.seeds import SIZE, seeds
 from navgym.simulation import find_scenario, simulate_many
 from navgym.tuned import read_tuned
 

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from navgym._checks import one_of
+from navgym.core.checks import one_of
 from navgym.envs.base import INFORMATION, REWARD, TERMINATED, TRUNCATED, LaneEngine
 from navgym.envs.settings import LaneSettings, argument_manual, signature
 

@@ -14,8 +14,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navgym._checks import Array
-from navgym._compile import entry
+from navgym.core.checks import Array
+from navgym.core.compile import entry
 from navgym.envs.actions import action_table
 from navgym.envs.settings import LaneSettings
 

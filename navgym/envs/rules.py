@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
-from navgym._checks import Array
+from navgym.core.checks import Array
 
 Signal = Callable[[str], Array]  # name of an element of the observation to its values (N,)
 

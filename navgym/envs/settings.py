@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from navgym._checks import one_of, positive_int
-from navgym.parameters import ParameterSpace
-from navgym.scenarios.seeds import seeds
+from navgym.core.checks import one_of, positive_int
+from navgym.core.parameters import ParameterSpace
+from navgym.core.seeds import seeds
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from navgym._checks import Array, one_of
-from navgym.flexure import FlexureModel
+from navgym.core.checks import Array, one_of
 from navgym.identification import methods, shape
 from navgym.identification.correlation import Correlation, correlate
+from navgym.identification.flexure import FlexureModel
 from navgym.identification.methods import Found
 
 _FUNCTIONS: dict[str, Callable[..., Found]] = {

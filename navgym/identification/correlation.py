@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import fft
 
-from navgym._checks import Array, real_array, within
+from navgym.core.checks import Array, real_array, within
 
 LEAST_LAGS = 20  # with fewer, three parameters are guesswork
 LONGEST = 60.0  # s, default of the longest lag, unless the record is shorter than four times that

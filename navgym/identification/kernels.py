@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from navgym._compile import kernel, part
+from navgym.core.compile import kernel, part
 
 LEAST_GAIN = 1e-3  # nats; a function that adds less evidence is not worth a place
 COLLINEAR = 1e-9  # share of a function outside the span of the relevant ones, below which it waits

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from navgym._checks import Array, positive_int, within
+from navgym.core.checks import Array, positive_int, within
 from navgym.identification import shape
 from navgym.identification.correlation import LEAST_LAGS, Correlation
 from navgym.identification.rvm import RVM

@@ -14,7 +14,7 @@ from typing import Any, Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from navgym._checks import Array, one_of, positive_int, real_array, within
+from navgym.core.checks import Array, one_of, positive_int, real_array, within
 from navgym.identification.kernels import fast_marginal_likelihood
 
 _learn: Any = fast_marginal_likelihood  # typed by numba from its arguments

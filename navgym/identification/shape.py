@@ -12,7 +12,7 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
-from navgym._checks import Array
+from navgym.core.checks import Array
 from navgym.identification.correlation import Correlation
 
 DAMPING = (0.02, 8.0)  # ζ searched; beyond it, one of the two decays is too slow or fast to be seen

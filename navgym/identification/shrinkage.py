@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from navgym._checks import Array, real_array, within
-from navgym.flexure import FlexureModel
+from navgym.core.checks import Array, real_array, within
+from navgym.identification.flexure import FlexureModel
 
 
 def shrink(

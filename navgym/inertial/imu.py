@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from navgym._checks import within
+from navgym.core.checks import within
 from navgym.inertial.earth import MICRO_G
 
 DEGREE_PER_HOUR = np.pi / 180.0 / 3600.0  # rad/s

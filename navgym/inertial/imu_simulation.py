@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from navgym._checks import Array
-from navgym._compile import kernel
+from navgym.core.checks import Array
+from navgym.core.compile import kernel
 from navgym.inertial.imu import ImuErrors
 
 

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from navgym._compile import part
+from navgym.core.compile import part
 from navgym.inertial.earth import EARTH_RATE, EQUATORIAL_RADIUS
 
 

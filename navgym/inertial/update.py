@@ -32,8 +32,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navgym._compile import part
-from navgym.health import NUMERICAL, SPIKE, settle, watch_power
+from navgym.core.compile import part
+from navgym.core.health import NUMERICAL, SPIKE, settle, watch_power
 
 WIDTH_OFF = 50.0 - 1e-9  # a kernel of this width or more is a Kalman filter; 50, to rounding
 FLOOR = 1e-12  # of a correntropy weight: R/C stays finite
@@ -318,7 +318,7 @@ def robust(lane, rule, width):
 
 @part
 def check(lane):
-    """Flag a lane that failed or ran away (see `navgym.health`); a failed one answers NaN."""
+    """Flag a lane that failed or ran away (see `navgym.core.health`); a failed one answers NaN."""
     power, count = 0.0, 0
     for c in range(lane.innovation.shape[0]):
         if lane.used[c]:

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import LinAlgError, solve_discrete_are, solve_discrete_lyapunov
 
-from navgym._checks import Array, real_array
+from navgym.core.checks import Array, real_array
 from navgym.metrics.errors import share
-from navgym.models import LinearModel
+from navgym.statespace.models import LinearModel
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import stats
 
-from navgym._checks import Array, positive_int, real_array
+from navgym.core.checks import Array, positive_int, real_array
 from navgym.metrics.errors import per_run, runs_of, share
 
 RESAMPLES = 9999

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from navgym._checks import Array, real_array
+from navgym.core.checks import Array, real_array
 from navgym.metrics.errors import share
 
 

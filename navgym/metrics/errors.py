@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navgym._checks import Array, real_array
+from navgym.core.checks import Array, real_array
 
 DIVERGED_MULTIPLE = 10.0  # a run this many times worse than its reference counts as diverged
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navgym._checks import Array
+from navgym.core.checks import Array
 from navgym.metrics.errors import DIVERGED_MULTIPLE
 
 

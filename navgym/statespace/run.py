@@ -6,12 +6,12 @@ import importlib
 from collections.abc import Mapping
 from typing import Any
 
-from navgym._checks import Array
-from navgym.batch import Batch
+from navgym.core.checks import Array
 from navgym.estimation import Estimate
-from navgym.filters.catalogue import CATALOGUE
 from navgym.metrics.consistency import degrees_of_freedom
 from navgym.problem import Filter, Run
+from navgym.statespace.batch import Batch
+from navgym.statespace.filters.catalogue import CATALOGUE
 
 STANDARD = ("states", "covariances", "innovations", "nis", "log_likelihood", "diverged")
 
@@ -35,7 +35,7 @@ def run(chosen: Filter, batch: Batch, table: Array, interval: int, everything: b
             f"filter {chosen.name!r} needs the true noise scales, which only simulated recordings "
             "carry: use process_scale and measurement_scale of Recording, or another filter."
         )
-    family = importlib.import_module(f"navgym.filters.{chosen.family}")
+    family = importlib.import_module(f"navgym.statespace.filters.{chosen.family}")
     return as_run(family.estimate(chosen, batch, table, interval, everything), batch, everything)
 
 

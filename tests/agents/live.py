@@ -1,9 +1,8 @@
 """What tests of live filters share: policies made at random, episodes, estimates side by side."""
 
 import numpy as np
-
-from agents.manifest import Manifest
-from agents.policy import Policy
+from navgym.agents.policies.manifest import Manifest
+from navgym.agents.policies.policy import Policy
 
 
 def some_policy(env, environment, seed=0, bias=None):

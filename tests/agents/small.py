@@ -1,6 +1,6 @@
 """Trainings that take a second."""
 
-from agents.configuration import Configuration, Recipe
+from navgym.agents.training.configuration import Configuration, Recipe
 
 RECIPE = Recipe(steps=16, batch=32, epochs=2, learning_starts=200, gradient_steps=2, buffer=700)
 TINY = {

@@ -2,21 +2,21 @@
 
 import numpy as np
 import pytest
-
-from agents import regime_tables
-from agents.baselines import (
+from navgym.agents.evaluation import regime_tables
+from navgym.agents.evaluation.baselines import (
     Fixed,
     Random,
     TrueRegime,
     hand_rule,
     whole_filters,
 )
-from agents.rollout import Learnt, engine_for, replay_filter, roll_out
-from navgym.batch import Batch
-from navgym.deck_batch import DeckBatch
+from navgym.agents.evaluation.rollout import Learnt, engine_for, replay_filter, roll_out
+
+from navgym.deck.batch import DeckBatch
 from navgym.envs.base import INFORMATION, TERMINATED, TRUNCATED
 from navgym.problem import PROBLEMS, problem_of
 from navgym.simulation import find_scenario, simulate_many
+from navgym.statespace.batch import Batch
 from tests.agents import hand_made
 from tests.agents.both import AUV, DECK, run, run_deck
 

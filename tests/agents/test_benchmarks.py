@@ -8,7 +8,7 @@ pytest.importorskip("stable_baselines3")
 pytest.importorskip("tyro")
 pytest.importorskip("tomli_w")
 
-from agents import benchmarks
+from navgym.agents import benchmarks
 
 
 @pytest.mark.slow

@@ -7,8 +7,8 @@ pytest.importorskip("stable_baselines3")
 pytest.importorskip("tyro")
 pytest.importorskip("tomli_w")
 
-from agents import checkpoints
-from agents.checkpoints import Checkpoint
+from navgym.agents.training import checkpoints
+from navgym.agents.training.checkpoints import Checkpoint
 
 
 class TestCheckpoints:

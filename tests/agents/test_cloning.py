@@ -10,10 +10,11 @@ pytest.importorskip("stable_baselines3")
 pytest.importorskip("tyro")
 pytest.importorskip("tomli_w")
 
-from agents.cloning import Regimes, find_teacher
-from agents.configuration import Cloning
-from agents.material import material
-from agents.training import train
+from navgym.agents.training.cloning import Regimes, find_teacher
+from navgym.agents.training.configuration import Cloning
+from navgym.agents.training.material import material
+from navgym.agents.training.run import train
+
 from tests.agents.small import RECIPE, quiet, tiny
 
 

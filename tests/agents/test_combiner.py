@@ -9,20 +9,21 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
+from navgym.agents import Combiner
+from navgym.agents.combiner.combiner import KIND, bank_facts
+from navgym.agents.policies import portable
+from navgym.tuning.cases import Cases
 from scipy.special import expit
 
 import navgym
-from agents import Combiner, portable
-from agents.combiner import KIND, bank_facts
-from navgym.batch import Batch
-from navgym.filters import combiner as kernels
-from navgym.filters.bank import BANK
-from navgym.scenarios.auv import Loss
+from navgym.auv.scenarios import Loss
 from navgym.simulation import simulate_many
+from navgym.statespace.batch import Batch
+from navgym.statespace.filters import combiner as kernels
+from navgym.statespace.filters.bank import BANK
 from tests.agents.both import run
 from tests.helpers import NAMES, identical, run_bank
 from tests.twins import bank as twin
-from tuning.cases import Cases
 
 UNITS = 48  # the usual number: another one would compile another kernel
 PRETRAINED = Path(__file__).resolve().parents[2] / "agents" / "pretrained" / "combiner"

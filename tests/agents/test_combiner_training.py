@@ -12,14 +12,16 @@ pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 pytest.importorskip("tyro")
 
+from navgym.agents import Combiner
+from navgym.agents.combiner import command as combiner_command
+from navgym.agents.combiner.material import RANGES, CombinerConfiguration, material
+from navgym.agents.combiner.training import Network, Trainer, gains, mixed, train
+from navgym.agents.training import checkpoints
+
 import navgym
-from agents import Combiner, checkpoints, combiner_command
-from agents.combiner_material import RANGES, CombinerConfiguration, material
-from agents.combiner_training import Network, Trainer, gains, mixed, train
-from navgym.batch import Batch
-from navgym.filters import combiner as kernels
-from navgym.scenarios import seeds
-from navgym.scenarios.seeds import split_of
+from navgym.core.seeds import seeds, split_of
+from navgym.statespace.batch import Batch
+from navgym.statespace.filters import combiner as kernels
 from tests.agents.both import run
 from tests.agents.small import quiet
 from tests.agents.test_training import Stopped, stop_after

@@ -10,11 +10,12 @@ pytest.importorskip("stable_baselines3")
 pytest.importorskip("tyro")
 pytest.importorskip("tomli_w")
 
-from agents import command, hyperparameters
-from agents.configuration import Configuration, markdown, presets
-from agents.hyperparameters import ShortTraining
-from agents.policy import Policy
-from agents.training import train
+from navgym.agents.policies.policy import Policy
+from navgym.agents.training import command, hyperparameters
+from navgym.agents.training.configuration import Configuration, markdown, presets
+from navgym.agents.training.hyperparameters import ShortTraining
+from navgym.agents.training.run import train
+
 from tests.agents.small import RECIPE, quiet, tiny
 
 
@@ -132,7 +133,7 @@ def test_ctrl_c_leaves_a_usable_policy_and_a_hint(tmp_path, monkeypatch, capsys)
         train(*arguments, **keywords)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("agents.training.train", interrupted)
+    monkeypatch.setattr("navgym.agents.training.run.train", interrupted)
     monkeypatch.setattr(sys, "argv", ["train.py", str(tmp_path / "in.toml")])
     assert command.main() == 130
     assert "without --fresh, goes on" in capsys.readouterr().err

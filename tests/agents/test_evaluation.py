@@ -11,11 +11,17 @@ import pytest
 pytest.importorskip("tyro")
 
 
-from agents import evaluation, evaluation_command, evaluation_report, evaluation_tables
-from agents.combiner import Combiner
-from agents.contest import BEST_FIXED, OWN, SHIFT, Condition, Extent
-from agents.contest_play import joined, parts, play
-from agents.evaluation import (
+from navgym.agents.combiner.combiner import Combiner
+from navgym.agents.evaluation import command as evaluation_command
+from navgym.agents.evaluation import report as evaluation_report
+from navgym.agents.evaluation import tables as evaluation_tables
+from navgym.agents.evaluation import verdicts as evaluation
+from navgym.agents.evaluation.contest import BEST_FIXED, OWN, SHIFT, Condition, Extent
+from navgym.agents.evaluation.league import League
+from navgym.agents.evaluation.play import joined, parts, play
+from navgym.agents.evaluation.rollout import Learnt, roll_out
+from navgym.agents.evaluation.streamed import stream
+from navgym.agents.evaluation.verdicts import (
     Bench,
     beaten,
     evaluate,
@@ -25,20 +31,19 @@ from agents.evaluation import (
     load_combiners,
     own_conditions,
 )
-from agents.league import League
-from agents.policy import Policy
-from agents.rollout import Learnt, roll_out
-from agents.streamed import stream
-from navgym.batch import Batch
-from navgym.filters.bank import MODE_SETS
-from navgym.filters.combiner import shapes
+from navgym.agents.policies.policy import Policy
+from navgym.tuning.comparison import Comparison, Entry, rows_of
+from navgym.tuning.report import page as report
+
+from navgym.auv.scenarios import SHIFTS
+from navgym.core.seeds import split_of
 from navgym.problem import problem_of
-from navgym.scenarios import SHIFTS, split_of
 from navgym.simulation import simulate_many
+from navgym.statespace.batch import Batch
+from navgym.statespace.filters.bank import MODE_SETS
+from navgym.statespace.filters.combiner import shapes
 from tests.agents import hand_made
 from tests.agents.both import AUV, DECK, run
-from tuning import report
-from tuning.comparison import Comparison, Entry, rows_of
 
 # a vehicle that manoeuvres all the time, which the best fixed parameters of `nominal` know nothing of
 WRONG_MODEL = {"process_scale": 20.0, "steps": 150, "loss": 0.0}

@@ -11,20 +11,22 @@ pytest.importorskip("stable_baselines3")
 pytest.importorskip("tyro")
 pytest.importorskip("tomli_w")
 
-from agents import evaluation_report, evaluation_tables
-from agents.configuration import Configuration, markdown, presets
-from agents.contest import BEST_FIXED, DEFAULT, FALLBACK, OWN, RANDOM, Extent
-from agents.evaluation import evaluate, leagues
-from agents.policy import Policy
-from agents.randomisation import drawn
-from agents.rollout import Learnt, replay_filter, roll_out
-from agents.streaming import SelfTuningFilter
-from agents.training import train
+from navgym.agents.evaluation import report as evaluation_report
+from navgym.agents.evaluation import tables as evaluation_tables
+from navgym.agents.evaluation.contest import BEST_FIXED, DEFAULT, FALLBACK, OWN, RANDOM, Extent
+from navgym.agents.evaluation.rollout import Learnt, replay_filter, roll_out
+from navgym.agents.evaluation.verdicts import evaluate, leagues
+from navgym.agents.live.streaming import SelfTuningFilter
+from navgym.agents.policies.policy import Policy
+from navgym.agents.training.configuration import Configuration, markdown, presets
+from navgym.agents.training.randomisation import drawn
+from navgym.agents.training.run import train
+from navgym.tuning.report import page as report
+
 from navgym.problem import PROBLEMS, problems
 from navgym.simulation import find_scenario, simulate_many
 from tests.agents import hand_made
 from tests.agents.small import RECIPE, quiet
-from tuning import report
 
 every = pytest.mark.parametrize("problem", list(problems()), ids=list(PROBLEMS))
 

@@ -5,11 +5,11 @@ import sys
 
 import numpy as np
 import pytest
+from navgym.agents.live.lines import Noise, estimates
 
 import navgym
-from agents.live_csv import Noise, estimates
-from navgym.csv_log import write_csv
-from navgym.envs.auv import AUVDropoutEnv
+from navgym.auv.csv_log import write_csv
+from navgym.auv.environment import AUVDropoutEnv
 from navgym.simulation import find_scenario
 from tests.agents import hand_made
 from tests.agents.both import AUV, DECK
@@ -18,7 +18,7 @@ from tests.agents.live import some_policy
 
 def test_it_runs_without_torch():
     text = (
-        "import sys, agents, agents.live_csv\n"
+        "import sys, agents, navgym.agents.live.lines\n"
         "agents.SelfTuningFilter, agents.Policy\n"
         "heavy = {'torch', 'stable_baselines3', 'optuna', 'matplotlib'} & set(sys.modules)\n"
         "assert not heavy, heavy\n"

@@ -7,12 +7,13 @@ pytest.importorskip("stable_baselines3")
 pytest.importorskip("tyro")
 pytest.importorskip("tomli_w")
 
-from agents.material import material, recording
-from agents.randomisation import drawn
-from agents.validation import Validation
+from navgym.agents.training.material import material, recording
+from navgym.agents.training.randomisation import drawn
+from navgym.agents.training.validation import Validation
+
 from navgym.auv.conditions import AUVRanges
+from navgym.core.seeds import seeds
 from navgym.deck.conditions import DeckRanges
-from navgym.scenarios import seeds
 from navgym.simulation import find_scenario
 from tests.agents.small import tiny
 

@@ -9,14 +9,14 @@ import sys
 import gymnasium
 import numpy as np
 import pytest
+from navgym.agents.policies.manifest import Manifest
+from navgym.agents.policies.policy import Normalisation, Policy
 
-import agents
 import navgym
-from agents.manifest import Manifest
-from agents.policy import Normalisation, Policy
+from navgym import agents
+from navgym.auv.engine import Engine
 from navgym.auv.settings import AUVDropoutSettings
 from navgym.envs.base import INFORMATION
-from navgym.envs.engine import Engine
 
 AUV, DECK = "navgym/AUVDropout-v0", "navgym/DeckDeformation-v0"
 ACTIONS = ("process_noise_scale", "forgetting", "vb_iterations")

@@ -4,12 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from navgym.agents.live.fallback import FallbackRule
+from navgym.agents.live.streaming import DIVERGED, SelfTuningFilter
+from navgym.agents.policies.policy import Policy
 
 import navgym
-from agents.fallback import FallbackRule
-from agents.policy import Policy
-from agents.streaming import DIVERGED, SelfTuningFilter
-from navgym.envs.auv import AUVDropoutEnv
+from navgym.auv.environment import AUVDropoutEnv
 from tests.agents.both import AUV
 from tests.agents.live import episode, parameters, schedule, some_policy, stacked
 

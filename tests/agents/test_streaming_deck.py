@@ -4,15 +4,15 @@ import dataclasses
 
 import numpy as np
 import pytest
+from navgym.agents.live.streaming import SelfTuningFilter
 
 import navgym
-from agents.streaming import SelfTuningFilter
+from navgym.deck.alignment import THETA
+from navgym.deck.batch import DeckBatch
+from navgym.deck.environment import DeckDeformationEnv
+from navgym.deck.estimation import attitudes
 from navgym.deck.problem import STEERED
-from navgym.deck_batch import DeckBatch
-from navgym.deck_estimation import attitudes
-from navgym.envs.deck import DeckDeformationEnv
-from navgym.filters.alignment import THETA
-from navgym.flexure import ARCMIN
+from navgym.identification.flexure import ARCMIN
 from tests.agents.both import DECK, run_deck
 from tests.agents.live import episode, parameters, schedule, some_policy, stacked
 

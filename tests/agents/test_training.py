@@ -13,11 +13,12 @@ pytest.importorskip("stable_baselines3")
 pytest.importorskip("tyro")
 pytest.importorskip("tomli_w")
 
-from agents import checkpoints
-from agents.configuration import Configuration, presets
-from agents.policy import Policy
-from agents.training import train
-from agents.validation import Validation
+from navgym.agents.policies.policy import Policy
+from navgym.agents.training import checkpoints
+from navgym.agents.training.configuration import Configuration, presets
+from navgym.agents.training.run import train
+from navgym.agents.training.validation import Validation
+
 from tests.agents.both import AUV, DECK
 from tests.agents.small import RECIPE, quiet, tiny
 

@@ -16,12 +16,11 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from navgym.agents.live.fallback import FallbackRule
 from scipy.spatial.transform import Rotation
 
-import agents
 import navgym
-from agents.fallback import FallbackRule
-from navgym import metrics
+from navgym import agents, metrics
 from navgym.identification import METHODS
 from navgym.problem import REGISTERED
 
@@ -184,7 +183,7 @@ def batch(key: str, name: str, arguments: Mapping[str, Any]) -> Entries:
 
 def stable_baselines(key: str, name: str, arguments: Mapping[str, Any]) -> Entries:
     """Three lanes as Stable-Baselines3 sees them, begun at places of their own."""
-    from agents.vec_env import lane_vec_env
+    from navgym.agents.training.vec_env import lane_vec_env
 
     envs = lane_vec_env(name, 3, desynchronise=True, **arguments)
     envs.seed(13)
@@ -253,8 +252,8 @@ def followed(key: str, name: str, policy: agents.Policy, recording: Any, rule: s
 
 def studies() -> Entries:
     """Two small studies, from the first trial to the report."""
-    from tuning import tune
-    from tuning.settings import StudySettings
+    from navgym.tuning import tune
+    from navgym.tuning.settings import StudySettings
 
     asked: Mapping[str, Mapping[str, Any]] = {
         "auv": {"filter": "qivbf", "trials": 24, "runs": 4, "select_runs": 3, "report_runs": 4,
@@ -286,8 +285,8 @@ def study(key: str, found: Any) -> Entries:
 
 def trainings() -> Entries:
     """A tiny training of each environment: the policy that it ends with, and what it was worth."""
-    from agents.configuration import Configuration, Recipe
-    from agents.training import train
+    from navgym.agents.training.configuration import Configuration, Recipe
+    from navgym.agents.training.run import train
 
     recipe = Recipe(hidden=(16, 16), steps=32, batch=64, epochs=2)
     small: dict[str, Any] = {

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from navgym.flexure import FlexureModel
 from navgym.identification import METHODS, correlate, identify, methods, shape
+from navgym.identification.flexure import FlexureModel
 from tests.identification.world import PAPER, exact, logarithms, rms_ln_b, simulate
 
 QUICK = ("rvm", "rvm_dictionary", "nls", "tufts_kumaresan", "regression")

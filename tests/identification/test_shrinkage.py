@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from navgym.flexure import FlexureModel
 from navgym.identification import identify, shrink
+from navgym.identification.flexure import FlexureModel
 from tests.identification.world import PAPER, logarithms, rms_ln_b, simulate
 
 NEW = FlexureModel(1.0, 2.0, 3.0, deviation=np.full((3, 3), 0.5))

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from navgym.flexure import ARCMIN, FlexureModel
 from navgym.identification import Correlation
+from navgym.identification.flexure import ARCMIN, FlexureModel
 
 PAPER = FlexureModel.from_correlation_time([10.0, 10.0, 30.0], np.array([6.0, 6.0, 10.0]) * ARCMIN)
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from navgym.filters.alignment import LAYOUT
+from navgym.deck.alignment import LAYOUT
 from navgym.inertial.states import Layout, State
 
 INS = Layout(

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from navgym import health
-from navgym._compile import kernel
+from navgym.core import health
+from navgym.core.compile import kernel
 from navgym.inertial import update
 from tests.twins import error_state as twin
 

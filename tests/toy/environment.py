@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from navgym._checks import within
+from navgym.core.checks import within
 from navgym.envs.actions import LIMIT
 from navgym.envs.base import TALLY, LaneEngine, Shelf
 from navgym.envs.canvas import Canvas

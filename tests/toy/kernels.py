@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from navgym._compile import kernel, part
+from navgym.core.compile import kernel, part
+from navgym.core.health import settle, watch_power
 from navgym.envs.actions import bounded, foretold, log_square, place, set_parameters
 from navgym.envs.base import (
     FREEDOM,
@@ -16,8 +17,7 @@ from navgym.envs.base import (
     TERMINATED,
     TRUNCATED,
 )
-from navgym.filters.lane import LOG_2PI
-from navgym.health import settle, watch_power
+from navgym.statespace.filters.lane import LOG_2PI
 
 f8, i8 = np.float64, np.int64
 LANE = np.dtype(
@@ -132,7 +132,7 @@ def prepare(lanes, models, tapes, stations):
 
 @kernel
 def decide(lanes, stations, models, tapes, table, rule, actions, obs, out, trail):
-    """One decision of every lane; see `navgym.envs.kernels.decide`."""
+    """One decision of every lane; see `navgym.auv.kernels.decide`."""
     for i in range(lanes.shape[0]):
         for a in range(table.shape[0]):
             if stations[i].active and not math.isfinite(actions[i, a]):
@@ -175,7 +175,7 @@ def decide(lanes, stations, models, tapes, table, rule, actions, obs, out, trail
 
 @kernel
 def live(lanes, stations, models, samples, table, tally, look, obs):
-    """One live sample; returns bits of the filters that failed, see `navgym.envs.kernels.live`."""
+    """One live sample; returns bits of the filters that failed, see `navgym.auv.kernels.live`."""
     received = control(lanes[0], models[0], samples[0], stations[0])
     step(lanes[1], models[0], samples[0].y, stations[1].row[0])
     if received:

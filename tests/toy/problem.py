@@ -3,7 +3,6 @@
 import numpy as np
 
 from navgym.envs.rules import HandRule
-from navgym.filters.spaces import NONE
 from navgym.metrics.measures import Measure, Quantity, by_name
 from navgym.problem import (
     Amount,
@@ -19,6 +18,7 @@ from navgym.problem import (
     Training,
     lazy,
 )
+from navgym.statespace.filters.spaces import NONE
 from tests.toy.settings import SPACE, ToyWalkSettings
 from tests.toy.world import SCENARIOS, WalkRanges, WalkRecording, WalkScenario, draw, simulate
 

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from navgym.core.parameters import Parameter, ParameterSpace
 from navgym.envs.settings import LaneSettings
-from navgym.parameters import Parameter, ParameterSpace
 from tests.toy.world import WalkRecording, WalkScenario
 
 SPACE = ParameterSpace(

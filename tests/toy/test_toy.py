@@ -121,8 +121,9 @@ def test_a_spawned_process_finds_it_by_name():
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_study_finds_more_noise_than_the_model_has(tmp_path, workers):
     pytest.importorskip("optuna")
-    from tuning import tune, tune_report
-    from tuning.settings import StudySettings
+    from navgym.tuning import tune
+    from navgym.tuning.report import study as tune_report
+    from navgym.tuning.settings import StudySettings
 
     settings = StudySettings(
         filter="walk_kf", scenario=("toy/switch",), trials=10, runs=8, select_runs=8, report_runs=12,
@@ -144,8 +145,8 @@ def test_a_study_finds_more_noise_than_the_model_has(tmp_path, workers):
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     pytest.importorskip("stable_baselines3")
-    from agents.configuration import Configuration, Recipe
-    from agents.training import train
+    from navgym.agents.training.configuration import Configuration, Recipe
+    from navgym.agents.training.run import train
 
     config = Configuration(
         environment=ID, scenarios=("toy/switch",), action_parameters=(NOISE,), decisions=4096,
@@ -156,7 +157,7 @@ def trained(tmp_path_factory):
 
 
 def test_a_training_makes_a_policy_that_travels(trained):
-    from agents.policy import Policy
+    from navgym.agents.policies.policy import Policy
 
     assert len(trained.history) == 3
     assert np.isfinite(trained.best.score)
@@ -166,7 +167,7 @@ def test_a_training_makes_a_policy_that_travels(trained):
 
 
 def test_a_policy_filters_samples_as_they_come(trained):
-    from agents.streaming import SelfTuningFilter
+    from navgym.agents.live.streaming import SelfTuningFilter
 
     recording = navgym.simulate("toy/switch", 5)
     live = SelfTuningFilter("walk_kf", trained.policy, WalkModel())
@@ -179,8 +180,8 @@ def test_a_policy_filters_samples_as_they_come(trained):
 
 
 def test_an_evaluation_knows_everybody(trained):
-    from agents.contest import BEST_FIXED, Extent
-    from agents.evaluation import evaluate, leagues
+    from navgym.agents.evaluation.contest import BEST_FIXED, Extent
+    from navgym.agents.evaluation.verdicts import evaluate, leagues
 
     extent = Extent(quick=True, runs=8)
     (bench,) = evaluate(leagues({"mine": trained.policy}, extent), progress=False)

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from navgym._checks import one_of, positive_int, real_array, shaped, span, within
-from navgym._frozen import Frozen
-from navgym.scenarios.draws import Range, log_uniform
-from navgym.scenarios.seeds import split_of
-from navgym.simulation.regimes import sequence
+from navgym.core.checks import one_of, positive_int, real_array, shaped, span, within
+from navgym.core.draws import Range, log_uniform
+from navgym.core.frozen import Frozen
+from navgym.core.regimes import sequence
+from navgym.core.seeds import split_of
 
 STREAM = 0xD0  # first word of a walk's seed sequence: no other simulator's
 

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from navgym.tuning.objectives import Evaluation
+from navgym.tuning.study import run as study
+from navgym.tuning.study.executors import workers
+from navgym.tuning.study.run import Search, search
 
 import navgym
-from tuning import study
-from tuning.executors import workers
-from tuning.objective import Evaluation
-from tuning.study import Search, search
 
 # a whole number, three scales, a choice: every kind of parameter
 SPACE = navgym.parameter_space("qivbf").subset(

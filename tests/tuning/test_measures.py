@@ -4,13 +4,13 @@ import pickle
 
 import numpy as np
 import pytest
+from navgym.tuning.cases import Cases
+from navgym.tuning.objectives import Costed, Objective, Pooled, find_measure, narrowed
 from scipy import stats
 
 import navgym
 from navgym.metrics.measures import BLIND, Judged, bounded, innovation_quantities
 from navgym.problem import PROBLEMS
-from tuning.cases import Cases
-from tuning.objective import Costed, Objective, Pooled, find_measure, narrowed
 
 BRIEF = {"duration": 90.0}
 

@@ -7,13 +7,13 @@ import time
 
 import psutil
 import pytest
+from navgym.tuning.cases import Cases
+from navgym.tuning.objectives import Objective
+from navgym.tuning.study import executors, search_space
+from navgym.tuning.study.executors import workers
+from navgym.tuning.study.run import Search, search
 
 from tests.tuning.goals import Bowls, Fatal, Worker, results
-from tuning import executors, search_space
-from tuning.cases import Cases
-from tuning.executors import workers
-from tuning.objective import Objective
-from tuning.study import Search, search
 
 
 @pytest.fixture(scope="module")

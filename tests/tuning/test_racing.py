@@ -4,14 +4,14 @@ import functools
 
 import numpy as np
 import pytest
+from navgym.tuning.cases import Cases
+from navgym.tuning.objectives import Evaluation, Objective, Pooled
+from navgym.tuning.study import racing
+from navgym.tuning.study.racing import LOOKS, Leader, race
+from navgym.tuning.study.run import Search, search
 
 from navgym.metrics.measures import METRICS
 from tests.tuning.goals import Bowls
-from tuning import racing
-from tuning.cases import Cases
-from tuning.objective import Evaluation, Objective, Pooled
-from tuning.racing import LOOKS, Leader, race
-from tuning.study import Search, search
 
 COUNT = 40
 FREE = ("prior_count", "forgetting", "process_noise_scale")

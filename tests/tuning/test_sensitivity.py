@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from navgym.tuning.objectives import Evaluation
+from navgym.tuning.study.racing import evaluate
+from navgym.tuning.study.run import search
+from navgym.tuning.study.sensitivity import importances, sweeps
 
-from navgym.parameters import Parameter, ParameterSpace
-from tuning.objective import Evaluation
-from tuning.racing import evaluate
-from tuning.sensitivity import importances, sweeps
-from tuning.study import search
+from navgym.core.parameters import Parameter, ParameterSpace
 
 SPACE = ParameterSpace(
     (

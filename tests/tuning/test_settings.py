@@ -4,10 +4,10 @@ import re
 from pathlib import Path
 
 import pytest
-
-from tuning import command, declared
-from tuning.settings import StudySettings
-from tuning.stages import stages
+from navgym.tuning import declared
+from navgym.tuning.commands import parse as command
+from navgym.tuning.settings import StudySettings
+from navgym.tuning.stages import stages
 
 LOG = "time,px,vx,py,vy\n" + "".join(f"{k},{k},1,{2 * k},2\n" for k in range(40))
 
@@ -134,7 +134,7 @@ def test_a_log_that_changed_is_another_study(tmp_path):
     log.write_text(LOG)
     before = stages(StudySettings(filter="kf", log=(log,))).train["logs"].about
     log.write_text(LOG.replace("39,39,1", "39,38,1"))
-    from tuning.recipes import remake
+    from navgym.tuning.study.recipes import remake
 
     remake.cache_clear()
     assert stages(StudySettings(filter="kf", log=(log,))).train["logs"].about != before

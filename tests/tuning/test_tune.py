@@ -7,14 +7,15 @@ import tomllib
 
 import numpy as np
 import pytest
+from navgym.tuning import tune
+from navgym.tuning.cases import Cases
+from navgym.tuning.headroom import FIXED, TABLE, headroom
+from navgym.tuning.report import study as tune_report
+from navgym.tuning.settings import StudySettings
 
 import navgym
-from navgym.csv_log import write_csv
+from navgym.auv.csv_log import write_csv
 from navgym.problem import Amount
-from tuning import tune, tune_report
-from tuning.cases import Cases
-from tuning.headroom import FIXED, TABLE, headroom
-from tuning.settings import StudySettings
 
 
 def small(out, **more):

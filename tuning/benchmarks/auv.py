@@ -9,12 +9,12 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from navgym.tuning.benchmarks.timing import Row, episodes, measured, paired, python, seconds
 
 import navgym
 from navgym.auv.problem import PROBLEM
-from navgym.batch import Batch
 from navgym.simulation import simulate_many
-from tuning.benchmarks.timing import Row, episodes, measured, paired, python, seconds
+from navgym.statespace.batch import Batch
 
 ENV = "navgym/AUVDropout-v0"
 FIVE_SWEEPS = {"vb_iterations": 5}
@@ -69,7 +69,7 @@ def batches(rounds: int) -> list[Row]:
 
 def objective(rounds: int) -> Row:
     """Cost of one evaluation of a tuning objective per filter step, everything included."""
-    from tuning.objective import Objective
+    from navgym.tuning.objectives import Objective
 
     batch = Batch.of(simulate_many("auv/switch-D", navgym.seeds("train", 40), steps=800))
     evaluate = Objective("qivbf", ("forgetting", "process_noise_scale"), batch)

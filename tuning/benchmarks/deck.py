@@ -9,17 +9,17 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from navgym.tuning.benchmarks.timing import Row, episodes, measured, paired, python, seconds
 from scipy.spatial.transform import Rotation
 
 import navgym
-from navgym._checks import Array
+from navgym.core.checks import Array
+from navgym.deck.batch import DeckBatch
+from navgym.deck.estimation import flexure_increments
+from navgym.deck.model import lever_matrix
 from navgym.deck.problem import PROBLEM
-from navgym.deck_batch import DeckBatch
-from navgym.deck_estimation import flexure_increments
-from navgym.deck_model import lever_matrix
 from navgym.identification import METHODS, RVM, identify
 from navgym.simulation import simulate_many
-from tuning.benchmarks.timing import Row, episodes, measured, paired, python, seconds
 
 ENV = "navgym/DeckDeformation-v0"
 

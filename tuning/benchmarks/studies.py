@@ -11,13 +11,14 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from navgym.tuning.benchmarks.timing import Row, measured, seconds
+from navgym.tuning.cases import Cases
+from navgym.tuning.objectives import Objective
+from navgym.tuning.study.executors import workers
+from navgym.tuning.study.run import Search, search
+
 import navgym
 from navgym.auv.problem import STEERED
-from tuning.benchmarks.timing import Row, measured, seconds
-from tuning.cases import Cases
-from tuning.executors import workers
-from tuning.objective import Objective
-from tuning.study import Search, search
 
 TRIALS = 200
 

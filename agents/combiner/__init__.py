@@ -1,0 +1,1 @@
+"""A network that weighs the modes of the bank."""

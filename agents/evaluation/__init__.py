@@ -1,0 +1,1 @@
+"""What a policy is worth, beside every simpler way of choosing parameters."""

@@ -1,0 +1,154 @@
+"""The command line of `scripts/evaluate.py`."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from navgym.agents.evaluation.contest import Extent
+from navgym.agents.evaluation.verdicts import (
+    Bench,
+    evaluate,
+    failures,
+    leagues,
+    load,
+    load_combiners,
+)
+
+from navgym.core.atomic import writable_folder
+from navgym.core.checks import positive_int
+from navgym.problem import problems
+
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+
+ABOUT = """Is a policy better than the simpler ways of choosing parameters, and where?
+
+  python scripts/evaluate.py                             the policies of agents/pretrained, in 10 to 25 minutes
+  python scripts/evaluate.py runs/mine/policy.npz        one's own; name several to compare them
+  python scripts/evaluate.py A.npz B.npz --runs 200
+  python scripts/evaluate.py A.npz --scenario auv/switch-B
+  python scripts/evaluate.py --quick                     a few recordings and conditions, for a first look
+
+Everybody runs on the same fresh recordings (test seeds): fixed parameters, rules, filters that need no
+parameters, bounds that know the truth, and the policies, alone and with their fallback. First the
+scenarios that a policy was trained on, as designed (also where its training drew conditions anew), then shifted ones, scenarios that it was not trained on,
+and real tracks, where the data are at hand. Prints the tables; writes report.html (open it
+in a browser) and results.json to --out. The same command gives the same numbers, times excepted.
+
+Exit status: 0 if every policy is better than the best fixed parameters in the conditions that it was
+trained for; 1 if one is not (an interval that touches 0 counts as not better); 2 for wrong input.
+"""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What was asked for."""
+
+    policies: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
+    """files of policies (.npz); those of agents/pretrained if none is named"""
+    scenario: tuple[str, ...] = ()
+    """judge on these instead of the scenarios that the policies were trained on"""
+    combiner: tuple[Path, ...] = ()
+    """files of learned combiners to run beside; that of agents/pretrained if none is named"""
+    runs: int | None = None
+    """recordings per condition that a policy was trained for (default: hundreds, as each problem says)"""
+    workers: int | None = None
+    """processes (default: one per core, at most 8; one with --quick); the numbers do not depend on it, but
+    times are those of a busy machine then"""
+    data: Path | None = None
+    """folder of real tracks, or with a folder per set of them, such as akit (default: ../shared/data beside
+    the repository, if it is there)"""
+    out: Path = Path("runs/evaluate")
+    """folder for report.html and results.json"""
+    fallback: bool = True
+    """run each policy with its fallback too"""
+    quick: bool = False
+    """a few recordings and conditions: for a first look and for CI"""
+
+    def check(self) -> None:
+        """Raise ValueError for what cannot be."""
+        if self.runs is not None:
+            positive_int("runs", self.runs, least=2)
+        positive_int("workers", self.processes)
+        if self.data is not None and not self.data.is_dir():
+            raise ValueError(f"--data must be a folder of real tracks: {self.data} is none.")
+        writable_folder("--out", self.out)
+
+    @property
+    def extent(self) -> Extent:
+        """How much is run."""
+        return Extent(self.quick, self.runs)
+
+    @property
+    def processes(self) -> int:
+        """How many processes run it."""
+        usual = 1 if self.quick else min(os.cpu_count() or 1, 8)
+        return usual if self.workers is None else self.workers
+
+    @property
+    def tracks(self) -> Path | None:
+        """Folder of real tracks, None where there is none."""
+        if self.data is not None:
+            return self.data
+        names = [p.tracks.name for p in problems() if p.tracks is not None]
+        return DATA if any((DATA / name).is_dir() for name in names) else None
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    try:
+        options = tyro.cli(Options, prog="evaluate.py", description=ABOUT, args=words)
+        benches = run(options)
+    except (ValueError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("\nstopped: nothing was written", file=sys.stderr)
+        return 130
+    bad = failures(benches)
+    for sentence in bad:
+        print(f"NOT BETTER: {sentence}", file=sys.stderr)
+    return 1 if bad else 0
+
+
+def run(options: Options) -> list[Bench]:
+    """Evaluate, print the tables, write the page and the results."""
+    from navgym.agents.evaluation import report as evaluation_report
+    from navgym.agents.evaluation import tables as evaluation_tables
+    from navgym.tuning.report import page as report
+
+    began = time.perf_counter()
+    options.check()
+    found = leagues(
+        load(options.policies), options.extent, options.scenario, options.tracks, options.fallback,
+        load_combiners(options.combiner),
+    )  # fmt: skip
+    sets = [p.tracks.title for p in (each.problem for each in found) if p.tracks is not None]
+    if options.tracks is None and sets:
+        print(
+            f"no {', '.join(sets)} data: real tracks are left out (name their folder with --data)"
+        )
+    benches = evaluate(found, options.processes, told=_show)
+    basis = report.provenance(
+        "evaluate.py",
+        tracks="none" if options.tracks is None else ", ".join(sets) or "none",
+        seeds={"all figures": "test"},
+        load=f"{os.getloadavg()[0]:.1f}, {options.processes} processes",
+    )
+    results = evaluation_tables.as_json(benches, basis)
+    report.write_json(options.out / "results.json", results)
+    path = report.write_page(options.out / "report.html", evaluation_report.page(benches, basis))
+    print(f"report: {path}\n{time.perf_counter() - began:.0f} s in all")
+    return benches
+
+
+def _show(bench: Bench) -> None:
+    from navgym.agents.evaluation import tables as evaluation_tables
+
+    print(f"\n{evaluation_tables.as_text([bench])}\n", flush=True)

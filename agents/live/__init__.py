@@ -1,0 +1,1 @@
+"""Filters that tune themselves on live data."""

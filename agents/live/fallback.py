@@ -1,0 +1,141 @@
+"""When not to trust a policy: the rule by which a self-tuning filter falls back, and comes back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navgym.core.checks import Array, positive_int, within
+from navgym.envs.base import FREEDOM, HEARD, NIS_SUM, REFERENCE_SCORE, SCORE, TALLY
+from navgym.metrics.consistency import nis_band
+
+
+@dataclass(frozen=True)
+class FallbackRule:
+    """Two reasons to leave a policy for the best fixed parameters, and what it takes to return.
+
+    *Range*: an element of the observation lies further outside what validation saw than `margin`
+    allows. *NIS*: the mean NIS over the last `window` decisions lies outside the chi-square band
+    that holds `confidence` of such means, and over the same samples the filter with the best fixed
+    parameters, which runs beside, has foretold the measurements better by `advantage`. Without
+    the second half a filter whose best parameters leave it inconsistent (outliers, a wrong
+    model) would never be trusted. What is foretold is scored by a heavy-tailed density, since
+    under a Gaussian one a policy that is right to leave outliers out looks worse for each of them.
+    Which channels are judged is the live lane's to say: of the deck's, the rates, since velocity
+    noise is set wider than it is on purpose.
+
+    Args:
+        margin: share of each element's range in training, or of 1 where the range is narrower,
+            by which an observation may lie outside.
+        window: decisions over which NIS and scores are judged.
+        confidence: of the NIS band.
+        advantage: mean log-density per sample by which the best fixed parameters must be better.
+        patience: successive decisions with a reason after which the filter falls back.
+        recovery: successive decisions without one after which the policy is back.
+    """
+
+    margin: float = 0.2
+    window: int = 6
+    confidence: float = 0.99
+    advantage: float = 0.4
+    patience: int = 1
+    recovery: int = 10
+
+    def __post_init__(self) -> None:
+        within("margin", self.margin, 0.0)
+        within("confidence", self.confidence, 0.0, 1.0)
+        within("advantage", self.advantage, 0.0)
+        for name in ("window", "patience", "recovery"):
+            positive_int(name, getattr(self, name))
+
+
+class Guard:
+    """Judges a policy at each decision.
+
+    Args:
+        rule: by what; None: by nothing, so that only `trip` takes it out of force.
+        names: of the observation's elements.
+        low: (n,) smallest observation in training.
+        high: (n,) largest one.
+        most: degrees of freedom that one decision can have at most.
+
+    Attributes:
+        reason: why the policy is not in force, or None.
+        falls: how often it has been taken out of force.
+    """
+
+    def __init__(
+        self,
+        rule: FallbackRule | None,
+        names: Sequence[str],
+        low: Array,
+        high: Array,
+        most: int,
+    ) -> None:
+        self._judging, self._names = rule is not None, tuple(names)
+        self.rule = rule = rule or FallbackRule()
+        self._trained = low, high
+        allowed = rule.margin * np.maximum(high - low, 1.0)
+        self._low, self._high = low - allowed, high + allowed
+        dof = np.arange(rule.window * most + 1)
+        self._band = np.nan_to_num(np.stack(nis_band(dof, rule.confidence), axis=-1)).tolist()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self.reason: str | None = None
+        self.falls = 0
+        self._found = self._clear = 0
+        self._past = np.zeros((self.rule.window, TALLY))
+        self._count = 0
+
+    def judge(self, observation: NDArray[np.float32], tally: Array) -> None:
+        """Take in what was seen before a decision, and what was added up since the last one."""
+        self._past[self._count % self.rule.window] = tally
+        self._count += 1
+        found = None
+        if self._judging:
+            found = self._out_of_range(observation) or self._inconsistent()
+        self._found = self._found + 1 if found else 0
+        self._clear = 0 if found else self._clear + 1
+        if found and (self.reason is not None or self._found >= self.rule.patience):
+            self._fall(found)
+        elif self._clear >= self.rule.recovery:
+            self.reason = None
+
+    def trip(self, reason: str) -> None:
+        """Take the policy out of force at once."""
+        self._clear = self._count = 0
+        self._fall(reason)
+
+    def _fall(self, reason: str) -> None:
+        self.falls += self.reason is None
+        self.reason = reason
+
+    def _out_of_range(self, observation: NDArray[np.float32]) -> str | None:
+        outside = (observation < self._low) | (observation > self._high)
+        if not outside.any():
+            return None
+        i = int(np.argmax(outside))
+        low, high = (float(bound[i]) for bound in self._trained)
+        return (
+            f"observation {self._names[i]} is {observation[i]:.3g}, and validation saw "
+            f"{low:.3g} to {high:.3g}"
+        )
+
+    def _inconsistent(self) -> str | None:
+        if self._count < self.rule.window:
+            return None
+        total = self._past.sum(axis=0).tolist()
+        dof = round(total[FREEDOM])
+        nis, (low, high) = total[NIS_SUM], self._band[dof]
+        behind = total[REFERENCE_SCORE] - total[SCORE]
+        if low <= nis <= high or not behind > self.rule.advantage * total[HEARD]:
+            return None
+        return (
+            f"NIS is {nis / dof:.3g} per component, outside {low / dof:.3g} to {high / dof:.3g}, "
+            f"and the best fixed parameters have foretold the measurements better"
+        )

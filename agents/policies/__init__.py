@@ -1,0 +1,1 @@
+"""Portable policies: two small files that numpy runs."""

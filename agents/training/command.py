@@ -1,0 +1,133 @@
+"""The command line of `scripts/train.py`: a preset or a TOML file, and any field of a configuration."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from navgym.agents.training.configuration import Configuration, presets
+
+from navgym.core.atomic import replacing
+from navgym.core.checks import positive_int
+
+ABOUT = """Train a policy that sets a filter's parameters while it runs.
+
+  python scripts/train.py                      a specialist for auv/switch-D, in a minute or two
+  python scripts/train.py deck --seed 1        another preset, and any option below
+  python scripts/train.py runs/mine/config.toml --decisions 2000000
+  python scripts/train.py auv --search 20      tune the agent's own hyper-parameters with Optuna
+
+presets (give one as the first word; --help after it shows its values):
+{presets}
+
+Everything goes to one folder (--out): policy.npz and policy.json (numpy alone runs them), config.toml,
+training.json, training.html with the learning curve, TensorBoard's logs, checkpoints. Stopped by Ctrl-C
+or killed, the same command goes on from the last checkpoint. Validation recordings choose the
+policy; `python scripts/evaluate.py OUT/policy.npz` then says what it is worth on fresh ones.
+"""
+
+
+STOPPED = "\nstopped: the same command, without --fresh, goes on from the last checkpoint"
+
+
+@dataclass(frozen=True)
+class Command:
+    """What was asked for."""
+
+    configuration: Annotated[Configuration, tyro.conf.arg(name="")]
+    fresh: bool = False
+    """start anew, even if the folder holds a training that could be continued"""
+    search: int = 0
+    """tune the recipe with this many short trainings instead of training once"""
+
+    def __post_init__(self) -> None:
+        positive_int("search", self.search, least=0)
+        if self.search and self.fresh:
+            raise ValueError("--fresh is for a training; a search begins anew in another --out.")
+
+
+def parse(words: Sequence[str]) -> Command:
+    """The command line's words as a `Command`; exits with a message for wrong ones.
+
+    Raises ValueError for a file or a field with a value that cannot be.
+    """
+    rest = list(words)
+    base = Configuration()
+    if rest and not rest[0].startswith("-"):
+        base = _base(rest.pop(0))
+    known = presets()
+    width = max(map(len, known))
+    listed = "\n".join(f"  {name.ljust(width)}  {text}" for name, (text, _) in known.items())
+    found: Command = tyro.cli(
+        Command,
+        prog="train.py [PRESET | FILE.toml]",
+        description=ABOUT.format(presets=listed),
+        default=Command(base),
+        args=rest,
+    )
+    return found
+
+
+def main() -> int:
+    """Run the command line; returns the exit code."""
+    try:
+        command = parse(sys.argv[1:])
+        return _search(command) if command.search else _train(command)
+    except (ValueError, ModuleNotFoundError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(STOPPED, file=sys.stderr)
+        return 130
+
+
+def _train(command: Command) -> int:
+    from navgym.agents.training.run import train
+
+    config = command.configuration
+    print(f"training into {config.folder} (TensorBoard: tensorboard --logdir {config.folder})")
+    made = train(config, command.fresh, command=as_typed())
+    for name, gains in made.best.scores["gains"].items():
+        each = ", ".join(f"{quantity} {100 * gain:+.1f} %" for quantity, gain in gains.items())
+        print(f"{name} (validation, against best fixed parameters): {each}")
+    print(f"learning curve: {made.folder / 'training.html'}")
+    if made.policy is not None:
+        print(f"next, on fresh seeds: python scripts/evaluate.py {made.folder / 'policy.npz'}")
+    return 0
+
+
+def _search(command: Command) -> int:
+    from navgym.agents.training.hyperparameters import tune
+
+    config = command.configuration
+    found, best = tune(config, command.search)
+    path = config.folder / "best-recipe.toml"
+    with replacing(path, text=True) as file:
+        file.write(replace(best, out=None).to_toml())
+    first = found.trials[0]
+    print(f"score {1 - first.result:.4f} with the first recipe, {1 - found.best.result:.4f} with")
+    for name, value in found.best.values.items():
+        print(f"  {name} = {value:.4g}")
+    print(f"next: python scripts/train.py {path} --out {config.folder / 'best'}")
+    return 0
+
+
+def as_typed() -> str:
+    """The command as it was given, for the record."""
+    return shlex.join(["python", "scripts/train.py", *sys.argv[1:]])
+
+
+def _base(word: str) -> Configuration:
+    """What the first word means."""
+    known = presets()
+    if word in known:
+        return known[word][1]
+    path = Path(word)
+    if path.suffix == ".toml":
+        return Configuration.from_toml(path)
+    raise ValueError(f"{word!r} is neither a preset nor a TOML file. Presets: {', '.join(known)}.")

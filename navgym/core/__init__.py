@@ -1,0 +1,1 @@
+"""What every room stands on: checks, compilation, files, parameters, seeds."""

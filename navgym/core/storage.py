@@ -1,0 +1,97 @@
+"""Arrays and JSON in one npz file: written atomically, read without pickle."""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navgym.core.atomic import replacing
+
+FORMAT = 1
+
+Arrays = dict[str, NDArray[Any]]
+
+# what numpy, zipfile and zlib raise about a file that is no npz, or no longer one
+_UNREADABLE = (
+    ValueError, TypeError, EOFError, OSError, KeyError, zipfile.BadZipFile, zlib.error,
+    NotImplementedError,
+)  # fmt: skip
+
+
+def save(
+    path: str | os.PathLike[str], kind: str, arrays: Mapping[str, Any], meta: Mapping[str, Any]
+) -> Path:
+    """Write `arrays` and `meta` as npz; returns the path."""
+    header = np.array(json.dumps({"navgym": FORMAT, "kind": kind, "meta": dict(meta)}))
+    target = Path(path)
+    with replacing(target) as file:
+        np.savez_compressed(file, **dict(arrays), header=header)
+    return target
+
+
+def load(path: str | os.PathLike[str], kind: str) -> tuple[Arrays, dict[str, Any]]:
+    """Arrays and meta of what `save` wrote as `kind` (the name of the class that did).
+
+    Raises ValueError, with the remedy, for a truncated, foreign or newer file, or another kind.
+    """
+    arrays = _read(path, kind)
+    header = _header(path, kind, arrays.pop("header"))
+    found = header.get("kind", "Recording")
+    if found != kind:
+        raise ValueError(f"{path} holds a {found}, not a {kind}: read it with {found}.load.")
+    return arrays, dict(header["meta"])
+
+
+def writable(meta: Mapping[str, Any]) -> dict[str, Any]:
+    """A copy of `meta` as JSON gives it back; ValueError for what JSON cannot hold."""
+    try:
+        copied: dict[str, Any] = json.loads(json.dumps(dict(meta)))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"meta must hold only what JSON can write: {error}.") from None
+    return copied
+
+
+def _read(path: str | os.PathLike[str], kind: str) -> Arrays:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+    except _UNREADABLE as error:
+        if isinstance(error, FileNotFoundError):
+            raise
+        raise ValueError(
+            f"{path} is not a navgym recording or is truncated ({error}). "
+            f"Use a file that {kind}.save wrote, or navgym.read for other formats."
+        ) from error
+    if "header" not in arrays or "time" not in arrays:
+        raise ValueError(
+            f"{path} is an npz file but not a navgym recording: it holds {sorted(arrays)[:8]}. "
+            f"Use a file that {kind}.save wrote."
+        )
+    return arrays
+
+
+def _header(path: str | os.PathLike[str], kind: str, text: NDArray[Any]) -> dict[str, Any]:
+    try:
+        header = json.loads(str(text))
+        found = header["navgym"]
+    except (TypeError, ValueError, KeyError) as error:
+        raise ValueError(
+            f"{path} has a header that is not navgym's ({text!s:.40}). "
+            f"Use a file that {kind}.save wrote."
+        ) from error
+    if found != FORMAT:
+        raise ValueError(
+            f"{path} has format {found}, and this navgym reads {FORMAT}: install the navgym that "
+            "wrote it, or save it again from there."
+        )
+    if "meta" not in header:
+        raise ValueError(f"{path} is damaged: its header lacks 'meta'. Save the recording again.")
+    return dict(header)

@@ -1,0 +1,1 @@
+"""Compiled filters of state-space models, and the catalogue that names them."""

@@ -1,0 +1,330 @@
+"""A learned combiner on a frozen bank: a recurrent network that weighs the bank's modes anew.
+
+The bank (`navgym.statespace.filters.bank`) runs as it is. After each of its steps a gated recurrent unit (Cho
+et al. 2014) reads how the weights are spread over R scales and regimes, how well the sample was
+predicted, and what was lost; it moves the log-weight of each R scale and of each regime. The
+estimate is the mixture of the same modes under the new weights. Nothing flows back into the bank:
+a bad network can spoil an answer, but never the filter, and no log-weight moves by more than
+twice `BOUND`.
+
+    u = clip((inputs − shift) ∘ gain)
+    r = σ(W_r u + b_r + U_r h + c_r)    n = tanh(W_n u + b_n + r ∘ (U_n h + c_n))
+    z = σ(W_z u + b_z + U_z h + c_z)    h = n + z ∘ (h − n)
+    a = BOUND tanh((V h + d) / BOUND)   w'_jg ∝ w_jg exp(a_j + a_g)    (R scale j, regime g)
+
+Inner loops run over units, and so become vector instructions in which each sum keeps its order.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navgym.core.checks import Array
+from navgym.core.compile import kernel, part
+from navgym.core.health import NUMERICAL
+from navgym.statespace.batch import Batch, outputs
+from navgym.statespace.filters.bank import (
+    MEASUREMENT,
+    OUTLIER_RATE,
+    PROCESS,
+    REGIME_STAY,
+    SCALE_STAY,
+    ModeSet,
+    run_lanes,
+    step,
+)
+from navgym.statespace.filters.lane import receive, report
+
+BOUND = 5.0  # of what is added to the log-weight of one R scale or one regime
+CLIP = 8.0  # of a normalised input
+FLOOR = 1e-4  # added to a marginal weight: below it all are alike
+UNITS = 48  # usual number of hidden units
+STATES = MEASURED = 4  # [Px, Vx, Py, Vy], all of them measured: what `look` is made for
+RESIDUALS = (
+    "share received", "log position residual", "log velocity residual", "position lag product",
+    "velocity lag product", "position velocity product", "log NIS",
+)  # fmt: skip
+ARRAYS = ("shift", "gain", "W", "b", "U", "c", "V", "d")
+
+
+def input_names(modes: ModeSet) -> tuple[str, ...]:
+    """What the network reads on a bank of `modes`, in order."""
+    scales = tuple(f"log weight of R x {scale:g}" for scale in modes.scales)
+    regimes = tuple(f"log weight of regime {g}" for g in range(modes.shape[1]))
+    return scales + regimes + RESIDUALS
+
+
+def shapes(modes: ModeSet, units: int) -> dict[str, tuple[int, ...]]:
+    """Shapes of a network's `ARRAYS` with so many hidden units."""
+    read, wide, moved = len(input_names(modes)), 3 * units, sum(modes.shape)
+    return {
+        "shift": (read,), "gain": (read,), "W": (read, wide), "b": (wide,), "U": (units, wide),
+        "c": (wide,), "V": (units, moved), "d": (moved,),
+    }  # fmt: skip
+
+
+def pack(modes: ModeSet, arrays: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+    """The network as a record (1,) for the kernel; gates in the order r, z, n along columns."""
+    sizes = shapes(modes, len(arrays["U"]))
+    network = np.zeros(1, np.dtype([(name, np.float64, sizes[name]) for name in ARRAYS]))
+    for name in ARRAYS:
+        network[name] = arrays[name]
+    return network
+
+
+def idle(modes: ModeSet) -> NDArray[Any]:
+    """A network of the usual size that moves nothing: the bank itself."""
+    return pack(modes, {name: np.zeros(shape) for name, shape in shapes(modes, UNITS).items()})
+
+
+def fits(batch: Batch) -> bool:
+    """Whether a network can read a bank on this batch: linear models of the right size."""
+    linear = "H" in (batch.models.dtype.names or ())
+    return linear and (batch.models.dtype["x0"].shape[0], batch.y.shape[2]) == (STATES, MEASURED)
+
+
+def memory_type(read: int, units: int, moved: int, modes: int) -> np.dtype[Any]:
+    """Record of what the network keeps of one series between samples, and of its scratch."""
+    f8 = np.float64
+    return np.dtype(
+        [
+            ("h", f8, (units,)),
+            ("z", f8, (MEASURED,)),  # whitened innovation of the last sample that was received
+            ("input", f8, (read,)),
+            ("now", f8, (3 * units,)),
+            ("past", f8, (3 * units,)),
+            ("factor", f8, (moved,)),
+            ("weight", f8, (modes,)),
+            ("x", f8, (STATES,)),
+            ("P", f8, (STATES, STATES)),
+        ]
+    )
+
+
+def estimate(
+    network: NDArray[Any],
+    modes: ModeSet,
+    batch: Batch,
+    table: Array,
+    everything: bool,
+    watch: bool = False,
+) -> dict[str, Array]:
+    """Run a bank and a network on it over a batch.
+
+    Args:
+        network: as `pack` makes it.
+        modes: of the bank.
+        batch: recordings of 4 states and 4 measurements.
+        table: the bank's parameters (1, 1, 5).
+        everything: whether more than `states` and `diverged` is wanted: as in
+            `navgym.estimation.run`, innovations, NIS and likelihood being the bank's own.
+        watch: whether to add what a training needs: `inputs` (N, T, ·), the modes' `means`
+            (N, T, J, 4) and the bank's own weights `bank_weights` (N, T, J).
+    """
+    count, steps = batch.y.shape[:2]
+    found: dict[str, Any] = outputs(batch, STATES, MEASURED, everything)
+    read, units = network["W"].shape[1], network["U"].shape[1]
+    J = len(modes.table())
+    watched = steps if watch else 0
+    found["weights"] = np.full((count, steps if everything else 0, *modes.shape), np.nan)
+    found["inputs"] = np.full((count, watched, read), np.nan)
+    found["means"] = np.full((count, watched, J, STATES), np.nan)
+    found["bank_weights"] = np.full((count, watched, J), np.nan)
+    kind = memory_type(read, units, sum(modes.shape), J)
+    found["memories"] = np.zeros(count, kind)
+    lanes = run_lanes(partial(run, network), batch, table, 1, modes, found)
+    del found["memories"]
+    if not watch:
+        for name in ("inputs", "means", "bank_weights"):
+            del found[name]
+    return found | {"diverged": lanes["diverged"] > 0}
+
+
+@part
+def tanh(x):
+    """Hyperbolic tangent to 1e-15: Padé's [5/6] of x/8, doubled thrice. Unlike libm's it vectorises."""
+    x = min(max(x, -20.0), 20.0) * 0.125
+    y = x * x
+    t = x * (10395.0 + y * (1260.0 + y * 21.0)) / (10395.0 + y * (4725.0 + y * (210.0 + y)))
+    t = 2.0 * t / (1.0 + t * t)  # tanh 2x = 2 tanh x / (1 + tanh² x)
+    t = 2.0 * t / (1.0 + t * t)
+    return 2.0 * t / (1.0 + t * t)
+
+
+@part
+def signed_root(x):
+    """x drawn towards zero where it is large, with its sign."""
+    return x / math.sqrt(1.0 + abs(x))
+
+
+@part
+def look(lane, memory, received):
+    """Write the network's inputs: log marginals of the weights, residuals, what was received."""
+    A, B = lane.grid[0], lane.grid[1]
+    for a in range(A):
+        s = FLOOR
+        for b in range(B):
+            s += lane.weight[a * B + b]
+        memory.input[a] = math.log(s)
+    for b in range(B):
+        s = FLOOR
+        for a in range(A):
+            s += lane.weight[a * B + b]
+        memory.input[A + b] = math.log(s)
+    m = lane.y.shape[0]
+    half, at = m // 2, A + B
+    memory.input[at] = received / m
+    for i in range(1, len(RESIDUALS)):
+        memory.input[at + i] = 0.0
+    if received > 0:
+        # sums over the two axes: they do not change when the axes are turned
+        for i in range(half):
+            u, v = lane.z[i], lane.z[i + half]
+            memory.input[at + 1 + i] = math.log(0.01 + u * u + v * v)
+            lagged = u * memory.z[i] + v * memory.z[i + half]
+            memory.input[at + 1 + half + i] = signed_root(lagged)
+        for i in range(m):
+            memory.z[i] = lane.z[i]
+        crossed = lane.z[0] * lane.z[1] + lane.z[half] * lane.z[half + 1]
+        memory.input[at + 5] = signed_root(crossed)
+        memory.input[at + 6] = math.log(0.01 + lane.nis)
+
+
+@part
+def think(network, memory):
+    """One step of the recurrent unit; leaves exp(a) of each R scale and regime in `factor`."""
+    read, wide = network.W.shape
+    units = wide // 3
+    for o in range(wide):
+        memory.now[o] = network.b[o]
+        memory.past[o] = network.c[o]
+    for i in range(read):
+        u = (memory.input[i] - network.shift[i]) * network.gain[i]
+        u = min(max(u, -CLIP), CLIP)
+        for o in range(wide):
+            memory.now[o] += network.W[i, o] * u
+    for i in range(units):
+        h = memory.h[i]
+        for o in range(wide):
+            memory.past[o] += network.U[i, o] * h
+    for o in range(2 * units):
+        memory.now[o] = 0.5 + 0.5 * tanh(0.5 * (memory.now[o] + memory.past[o]))
+    for o in range(units):
+        n = tanh(memory.now[2 * units + o] + memory.now[o] * memory.past[2 * units + o])
+        memory.h[o] = n + memory.now[units + o] * (memory.h[o] - n)
+    moved = network.d.shape[0]
+    for j in range(moved):
+        memory.factor[j] = network.d[j]
+    for i in range(units):
+        h = memory.h[i]
+        for j in range(moved):
+            memory.factor[j] += network.V[i, j] * h
+    for j in range(moved):
+        memory.factor[j] = math.exp(BOUND * tanh(memory.factor[j] / BOUND))
+
+
+@part
+def reweigh(lane, memory):
+    """The modes' new weights, and the mean of the mixture; NaN where the bank failed."""
+    A, B = lane.grid[0], lane.grid[1]
+    _, p, axes = lane.mean.shape
+    failed = lane.diverged == NUMERICAL
+    total = 0.0
+    for a in range(A):
+        for b in range(B):
+            j = a * B + b
+            memory.weight[j] = lane.weight[j] * (memory.factor[a] * memory.factor[A + b])
+            total += memory.weight[j]
+    for j in range(A * B):
+        memory.weight[j] /= total
+    for g in range(axes):
+        for i in range(p):
+            s = math.nan if failed else 0.0
+            for j in range(A * B):
+                s += memory.weight[j] * lane.mean[j, i, g]
+            memory.x[g * p + i] = s
+
+
+@part
+def spread(lane, memory):
+    """Covariance of the mixture under the new weights; NaN where the bank failed."""
+    _, p, axes = lane.mean.shape
+    n = memory.x.shape[0]
+    for i in range(n):
+        for k in range(n):
+            memory.P[i, k] = 0.0
+    for j in range(lane.grid[0] * lane.grid[1]):
+        w = memory.weight[j]
+        for g in range(axes):
+            for i in range(p):
+                for k in range(p):
+                    memory.P[g * p + i, g * p + k] += w * lane.cov[j, i, k]
+                d = lane.mean[j, i, g] - memory.x[g * p + i]
+                for h in range(axes):
+                    for k in range(p):
+                        s = d * (lane.mean[j, k, h] - memory.x[h * p + k])
+                        memory.P[g * p + i, h * p + k] += w * s
+
+
+@kernel
+def run(
+    networks, lanes, models, smalls, y, lost, parameters, interval, modes, prior, near, losses,
+    states, covariances, innovations, nis, log_likelihoods, weights, inputs, means, bank_weights,
+    memories,
+):  # fmt: skip
+    """Filter every series with the bank, and weigh its modes anew after each sample."""
+    network = networks[0]
+    for i in range(lanes.shape[0]):
+        lane, memory = lanes[i], memories[i]
+        row = min(i, parameters.shape[0] - 1)
+        for k in range(lane.k, min(lane.length, y.shape[1])):
+            now = min(k, models.shape[1] - 1)
+            chosen = parameters[row, min(k // interval, parameters.shape[1] - 1)]
+            received = receive(lane, y, lost, i, k)
+            step(
+                lane, models[i, now], smalls[i, now], modes, prior, near, losses, received,
+                chosen[PROCESS], chosen[MEASUREMENT], chosen[SCALE_STAY], chosen[REGIME_STAY],
+                chosen[OUTLIER_RATE],
+            )  # fmt: skip
+            look(lane, memory, received)
+            think(network, memory)
+            reweigh(lane, memory)
+            report(lane, i, k, states, covariances, innovations, nis, log_likelihoods)
+            replace(lane, memory, i, k, states, covariances, weights)
+            if inputs.shape[1] > 0:
+                show(lane, memory, i, k, inputs, means, bank_weights)
+
+
+@part
+def replace(lane, memory, i, k, states, covariances, weights):
+    """Write the new estimate over the bank's own."""
+    n = memory.x.shape[0]
+    for a in range(n):
+        states[i, k, a] = memory.x[a]
+    if covariances.shape[1] > 0:
+        spread(lane, memory)
+        for a in range(n):
+            for b in range(n):
+                covariances[i, k, a, b] = memory.P[a, b]
+        B = weights.shape[3]
+        for j in range(lane.grid[0] * lane.grid[1]):
+            weights[i, k, j // B, j % B] = memory.weight[j]
+
+
+@part
+def show(lane, memory, i, k, inputs, means, bank_weights):
+    """Write what the network reads, and what it weighs."""
+    _, p, axes = lane.mean.shape
+    for a in range(memory.input.shape[0]):
+        inputs[i, k, a] = memory.input[a]
+    for j in range(lane.grid[0] * lane.grid[1]):
+        bank_weights[i, k, j] = lane.weight[j]
+        for g in range(axes):
+            for a in range(p):
+                means[i, k, j, g * p + a] = lane.mean[j, a, g]

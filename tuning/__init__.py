@@ -1,0 +1,1 @@
+"""Studies of filters' parameters, comparisons, reports."""

@@ -1,0 +1,1 @@
+"""The papers' figures, run again beside what they claim."""

@@ -1,0 +1,151 @@
+"""Reports: one self-contained page for people, one JSON file for programs, both written whole."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import re
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup, escape
+
+import navgym
+
+LIBRARIES = ("numpy", "scipy", "numba", "optuna", "matplotlib")
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A number that the page shows large."""
+
+    value: str
+    what: str
+    kind: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells as text.
+
+    Args:
+        head: column titles; the first column is text, the others are numbers.
+        rows: cells.
+        caption: what to see, one or two sentences.
+        kinds: a kind per row: "bound", "diverged", "best", "own" or nothing.
+        text_columns: further columns that hold text.
+    """
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    caption: str = ""
+    kinds: Sequence[str] = ()
+    text_columns: Sequence[int] = (0,)
+
+    def kind(self, row: int) -> str:
+        """Kind of row `row`."""
+        return self.kinds[row] if row < len(self.kinds) else ""
+
+    def as_text(self) -> str:
+        """The table for a terminal, aligned."""
+        lines = [[cell.replace("**", "") for cell in row] for row in (self.head, *self.rows)]
+        widths = [max(len(line[i]) for line in lines) for i in range(len(self.head))]
+        text = [
+            "  ".join(
+                cell.ljust(w) if i in self.text_columns else cell.rjust(w)
+                for i, (cell, w) in enumerate(zip(line, widths, strict=True))
+            ).rstrip()
+            for line in lines
+        ]
+        return "\n".join([text[0], "-" * max(map(len, text)), *text[1:]])
+
+
+@dataclass(frozen=True)
+class Figure:
+    """An inline drawing (SVG source) with what to see in it."""
+
+    svg: str
+    caption: str
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page: words, then figures and tables in their order."""
+
+    title: str
+    text: Sequence[str] = ()
+    items: Sequence[Table | Figure] = ()
+    folded: bool = False
+
+
+@dataclass(frozen=True)
+class Page:
+    """A whole report."""
+
+    title: str
+    lede: Sequence[str]
+    sections: Sequence[Section]
+    tiles: Sequence[Tile] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+def write_page(path: Path, page: Page) -> Path:
+    """Write `page` as one HTML file that needs nothing else; returns the path."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("navgym.tuning.report"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters |= {"rich": _rich, "figure": lambda f: Markup(f.svg)}  # noqa: S704 - ours
+    environment.tests["table"] = lambda item: isinstance(item, Table)
+    html = environment.get_template("report.html").render(page=page)
+    return write_text(path, html)
+
+
+def write_json(path: Path, value: Any) -> Path:
+    """Write `value` as JSON; ValueError for NaN or infinity, which JSON does not have."""
+    return write_text(path, json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def write_text(path: Path, text: str) -> Path:
+    """Write a file whole or not at all: a reader never sees half of it; returns the path."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(
+        "w", dir=path.parent, suffix=".tmp", delete=False, encoding="utf-8"
+    ) as file:
+        try:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        except BaseException:
+            Path(file.name).unlink(missing_ok=True)
+            raise
+    Path(file.name).chmod(0o644)  # temporary files are private, a report is not
+    Path(file.name).replace(path)
+    return path
+
+
+def provenance(script: str, **settings: Any) -> dict[str, Any]:
+    """What a result rests on: the command as it was given, versions, and `settings`."""
+    return {
+        "command": " ".join(["python", f"scripts/{script}", *sys.argv[1:]]),
+        "versions": {"navgym": navgym.__version__, "python": platform.python_version()}
+        | {name: metadata.version(name) for name in LIBRARIES},
+        **settings,
+    }
+
+
+def _rich(text: str) -> Markup:
+    """Escaped text in which `code` and **strong** mean what they look like."""
+    html = str(escape(text))
+    html = re.sub(r"`([^`]+)`", r"<code>\1</code>", html)
+    return Markup(re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", html))  # noqa: S704 - escaped

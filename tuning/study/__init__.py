@@ -1,0 +1,1 @@
+"""One Optuna study: run, race, keep, search, choose."""

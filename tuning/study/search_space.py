@@ -1,0 +1,108 @@
+"""Between a `ParameterSpace` and Optuna: distributions, names of parameters, samplers."""
+
+from __future__ import annotations
+
+import copy
+import importlib.util
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import optuna
+from optuna.distributions import (
+    BaseDistribution,
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
+from optuna.trial import FrozenTrial
+
+from navgym.core.checks import one_of
+from navgym.core.parameters import Parameter, ParameterSpace
+
+SAMPLERS = ("tpe", "cma-es", "gp", "nsga-ii", "random")
+STARTUP_TRIALS = 15  # random trials before a model takes over, the enqueued ones included
+POPULATION = 24  # of NSGA-II
+
+
+def distributions(space: ParameterSpace) -> dict[str, BaseDistribution]:
+    """Optuna's search space. A log-complement parameter is searched as "1 - name", on a log scale."""
+    return dict(distribution(p) for p in space)
+
+
+def distribution(p: Parameter) -> tuple[str, BaseDistribution]:
+    """What Optuna calls a parameter, and where it searches."""
+    if p.choices:
+        return p.name, CategoricalDistribution(p.choices)
+    if p.integer:
+        return p.name, IntDistribution(round(p.low), round(p.high), log=p.scale == "log")
+    if p.scale == "log-complement":
+        return f"1 - {p.name}", FloatDistribution(1.0 - p.high, 1.0 - p.low, log=True)
+    return p.name, FloatDistribution(p.low, p.high, log=p.scale == "log")
+
+
+def to_optuna(space: ParameterSpace, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters as Optuna names them."""
+    named = {}
+    for p in space:
+        value = p.show(p.check(values[p.name]))
+        complement = p.scale == "log-complement"
+        named[distribution(p)[0]] = 1.0 - float(value) if complement else value
+    return named
+
+
+def from_optuna(space: ParameterSpace, params: Mapping[str, Any]) -> dict[str, Any]:
+    """Inverse of `to_optuna`."""
+    values = {}
+    for p in space:
+        found = params[distribution(p)[0]]
+        if p.scale == "log-complement":
+            found = min(max(1.0 - found, p.low), p.high)
+        values[p.name] = p.show(p.check(found))
+    return values
+
+
+def sampler_of(name: str, seed: int, count: int) -> optuna.samplers.BaseSampler:
+    """A fresh sampler for the `count`-th trial: its draws depend on the history alone, not on who
+    resumed it.
+
+    Raises:
+        ValueError: an unknown name.
+        ImportError: "gp" without torch.
+    """
+    one_of("sampler", name, SAMPLERS)
+    words = int(np.random.SeedSequence([seed, count]).generate_state(1)[0])
+    if name == "random":
+        return optuna.samplers.RandomSampler(seed=words)
+    if name == "nsga-ii":
+        return optuna.samplers.NSGAIISampler(seed=words, population_size=POPULATION)
+    if name == "cma-es":
+        return _CovarianceSampler(
+            seed=words, n_startup_trials=STARTUP_TRIALS, warn_independent_sampling=False
+        )
+    if name == "gp":
+        return _gaussian_process(words)
+    return optuna.samplers.TPESampler(
+        seed=words, multivariate=True, n_startup_trials=STARTUP_TRIALS
+    )
+
+
+class _CovarianceSampler(optuna.samplers.CmaEsSampler):
+    """CMA-ES whose draws do not depend on a trial's number, which a kill may have moved on by one."""
+
+    def sample_relative(
+        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
+    ) -> dict[str, Any]:
+        """Optuna adds the number to the seed."""
+        alike = copy.copy(trial)
+        alike.number = 0
+        return super().sample_relative(study, alike, search_space)
+
+
+def _gaussian_process(seed: int) -> optuna.samplers.BaseSampler:
+    if importlib.util.find_spec("torch") is None:
+        raise ImportError("sampler 'gp' needs torch: pip install 'navgym[agents]', or use 'tpe'.")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+        return optuna.samplers.GPSampler(seed=seed, n_startup_trials=STARTUP_TRIALS)
