@@ -31,7 +31,8 @@ from navgym.auv.problem import PROBLEM
 from navgym.statespace.models import LinearModel
 
 FILTER = "qivbf"
-SWEEPS = {"vb_iterations": 5}  # converged (SCIENCE A3), and what a step may cost
+# converged (docs/science/qivbf.md#parameters-that-matter), and what a step may cost
+SWEEPS = {"vb_iterations": 5}
 FREE = (
     "prior_count", "forgetting", "initial_count", "initial_scale", "process_noise_scale", "fill",
 )  # fmt: skip

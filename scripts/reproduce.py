@@ -5,17 +5,18 @@
     python scripts/reproduce.py auv --quick    every part on a few recordings: shows that it runs,
                                                and its figures mean nothing
 
-auv: what to do with a lost sample, under five conditions, the printed QIVBF included (SCIENCE A2);
-what switching conditions leave to win: best fixed parameters, table by true regime, IMM, oracle
-(A4); the bank against the wide IMM, off its design too (A6); nonlinear filters on a coordinated
-turn; and real AUV tracks, where the A-KIT data are at hand. Figures are from test seeds; what was
-tuned was tuned on training seeds and chosen on validation seeds, in studies whose journals under
---out resume an interrupted run. Writes auv.html and auv.json to --out.
+auv: what to do with a lost sample, under five conditions, the printed QIVBF included; what switching
+conditions leave to win: best fixed parameters, table by true regime, IMM, oracle; the bank against
+the wide IMM, off its design too; nonlinear filters on a coordinated turn; and real AUV tracks, where
+the A-KIT data are at hand. Figures are from test seeds; what was tuned was tuned on training seeds
+and chosen on validation seeds, in studies whose journals under --out resume an interrupted run.
+Writes auv.html and auv.json to --out. Expected figures: the documentation, Science, QIVBF.
 
 deck: IDAM against WOAM and SVRAM in the paper's setting, with enough seeds to tell (IDAM section 5); what
 can be known of the deformation at all, the lever arm, identification by every method, correntropy and
-model prediction (SCIENCE B2); switching conditions and a changing sea (B3); and a real pendulum and
-a real quadrotor, where the RepoIMU and multi-IMU data are at hand. Writes deck.html and deck.json.
+model prediction; switching conditions and a changing sea; and a real pendulum and a real quadrotor,
+where the RepoIMU and multi-IMU data are at hand. Writes deck.html and deck.json. Expected
+figures: the documentation, Science, IDAM.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-FOLDERS = ("agents", "docs", "navgym", "scripts", "tests", "tuning")
+MADE = ("build", "dist", "runs", "site")  # folders that commands write
 WRITTEN = {".md", ".py", ".toml", ".cff", ".txt", ".ipynb"}
 LINK = re.compile(r"\]\((?![a-z]+:)([^)\s]+)\)")
 CITATION = re.compile(r"docs/[a-z0-9/-]+\.md(?:#[\w-]+)?")
@@ -16,7 +16,8 @@ CITATION = re.compile(r"docs/[a-z0-9/-]+\.md(?:#[\w-]+)?")
 
 def project_files():
     """Everything that people write here, and nothing that they install or run."""
-    inside = [p for folder in FOLDERS for p in (ROOT / folder).rglob("*")]
+    folders = [p for p in ROOT.iterdir() if p.is_dir() and re.fullmatch(r"\w+", p.name)]
+    inside = [p for folder in folders if folder.name not in MADE for p in folder.rglob("*")]
     files = [p for p in [*ROOT.iterdir(), *inside] if p.is_file()]
     return [p for p in files if p.suffix in WRITTEN or p.name == "Makefile"]
 
@@ -87,6 +88,17 @@ def test_every_test_that_the_science_pages_name_exists():
     }
     assert named
     assert not sorted((page, name) for page, name in named if name not in written)
+
+
+def test_nothing_refers_to_notes_that_users_do_not_have():
+    outside = re.compile(r"\bSCI" + r"ENCE\b")
+    found = [
+        f"{p.relative_to(ROOT)}:{n}"
+        for p in project_files()
+        for n, line in enumerate(p.read_text("utf-8").splitlines(), 1)
+        if outside.search(line)
+    ]
+    assert not found
 
 
 @pytest.mark.parametrize(

@@ -110,7 +110,7 @@ def headroom(
 
 
 def _position(name: str, found: Mapping[str, Comparison]) -> Iterator[Check]:
-    """Position RMSE of both contenders, IMM and oracle (SCIENCE A4)."""
+    """Position RMSE of both contenders, IMM and oracle."""
     for label, value in zip((FIXED, TABLE, "imm", "oracle"), expected.HEADROOM[name], strict=True):
         row = found["rmse"][label]
         half_width = row.high - row.mean
@@ -119,7 +119,7 @@ def _position(name: str, found: Mapping[str, Comparison]) -> Iterator[Check]:
 
 
 def _deformation(found: Mapping[str, Comparison]) -> Iterator[Check]:
-    """Errors of θ, and what the table wins in θ̇ (SCIENCE B3)."""
+    """Errors of θ, and what the table wins in θ̇."""
     named = {"MCC off": "alignment", "best fixed width": FIXED, "true-regime schedule": TABLE}
     for name, values in deck_expected.SWITCH.items():
         for measure, value in zip(("theta", "theta_ac", "theta_rate"), values, strict=True):
@@ -209,5 +209,7 @@ def _section(found: Headroom) -> Section:
             [c.what, f"{c.found:.3f} ± {c.half:.3f}", f"{c.expected:g}", c.verdict]
             for c in found.checks
         ]
-        items.append(Table(["figure", "here", "prototype", ""], checked, "Against SCIENCE A4, B3."))
+        items.append(
+            Table(["figure", "here", "prototype", ""], checked, "See the documentation: Science.")
+        )
     return Section(found.scenario, [], items)

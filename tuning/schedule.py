@@ -1,4 +1,7 @@
-"""Parameters by true regime: the bound of what steering a filter can win (SCIENCE A4, B3)."""
+"""Parameters by true regime: the bound of what steering a filter can win.
+
+docs/science/qivbf.md#scenarios-and-headroom, docs/science/idam.md#scenarios-and-headroom.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""AUV scenarios: what happens to the vehicle, its sensors and its link (SCIENCE A4)."""
+"""AUV scenarios: what happens to the vehicle, its sensors and its link.
+
+Regimes and headroom: docs/science/qivbf.md#scenarios-and-headroom.
+"""
 
 from __future__ import annotations
 
@@ -268,7 +271,8 @@ def _catalogue() -> dict[str, AUVScenario]:
 
 CATALOGUE: Mapping[str, AUVScenario] = MappingProxyType(_catalogue())
 
-# Conditions that a filter or a policy was not tuned on (SCIENCE A5, A6): overrides by name.
+# Conditions that a filter or a policy was not tuned on, overrides by name:
+# docs/science/qivbf.md#what-agents-reach, docs/science/qivbf.md#bank-and-combiner.
 SHIFTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
         "loss .3": {"loss": 0.3},

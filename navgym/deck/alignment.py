@@ -252,7 +252,8 @@ def predict_error(lane, model):
     """Model error D̂ on the flexure's acceleration (eq. 40, corrected), added to x⁻ (eq. 41).
 
     D̂ = {[ΛS]ᵀ R⁻¹ [ΛS] + A}⁻¹ [ΛS]ᵀ R⁻¹ (z − h(x⁻)), A = weight · diag(dt/q). The same
-    datum is used again by the update, as in the paper; SCIENCE B1 says why that hurts.
+    datum is used again by the update, as in the paper, which hurts:
+    docs/science/idam.md#correntropy-and-model-prediction.
     """
     G, N = np.zeros((6, 3)), np.zeros((3, 4))
     for a in range(3):

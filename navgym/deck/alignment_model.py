@@ -81,7 +81,10 @@ def write_flexure(record: Any, flexure: FlexureModel) -> None:
 
 
 def _start(model: DeckModel) -> Array:
-    """Standard deviations at the start (SCIENCE B1); the flexure's own follow by `write_flexure`."""
+    """Standard deviations at the start: docs/science/idam.md#start-and-noise.
+
+    The flexure's own follow by `write_flexure`.
+    """
     each = {
         "L": model.misalignment, "DV": 1e-6, "PHI": 1e-8, "EPS": model.gyro_bias,
         "NABLA": model.accelerometer_bias, "VR": 1e-6,

@@ -12,7 +12,9 @@ from navgym.envs.rules import HandRule, Signal
 
 
 class ResidualSign(HandRule):
-    """Read the sign of what follows a large gyro residual: the deck's hand rule (SCIENCE B3).
+    """Read the sign of what follows a large gyro residual: the deck's hand rule.
+
+    docs/science/idam.md#scenarios-and-headroom.
 
     If the next residual points the other way, a glitch got into the estimate: the kernel narrows to
     `NARROW` at once. If it points the same way, a slam was rejected: the kernel widens by half, once per

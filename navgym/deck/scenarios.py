@@ -1,4 +1,7 @@
-"""Deck scenarios: how the ship moves, how its deck bends, what disturbs the measurement (SCIENCE B3)."""
+"""Deck scenarios: how the ship moves, how its deck bends, what disturbs the measurement.
+
+Regimes and headroom: docs/science/idam.md#scenarios-and-headroom.
+"""
 
 from __future__ import annotations
 

@@ -196,7 +196,7 @@ def test_an_absent_track_names_those_that_are_there(eastward):
 TRACKS = range(1, 7)
 SEEDS = range(10)
 # Measured before this project by an independent prototype on other noise, ten seeds per track:
-# mean position RMSE in m and its standard error (SCIENCE A2).
+# mean position RMSE in m and its standard error: docs/science/qivbf.md#real-tracks.
 PUBLISHED = {
     "kf": {0.1: (0.719, 0.014), 0.3: (0.816, 0.019), 0.5: (1.145, 0.053)},
     "kf_extrapolate": {0.1: (0.717, 0.014), 0.3: (0.797, 0.019), 0.5: (1.064, 0.053)},

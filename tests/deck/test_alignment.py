@@ -1,4 +1,4 @@
-"""The compiled deck filter against its dense twin, against theory, and against SCIENCE B5's pitfalls."""
+"""The compiled deck filter against its dense twin, theory, and docs/science/idam.md#pitfalls."""
 
 from dataclasses import replace
 
@@ -340,7 +340,7 @@ def test_judging_by_the_noise_alone_rejects_half_of_the_good_rates(calm):
 
 
 def test_the_cross_block_of_q_shows_in_p_and_hardly_in_the_errors():
-    """SCIENCE B5: compare P. Without the block V_r forgets whence it came, and P of it grows."""
+    """Compare P (docs/science/idam.md#pitfalls): without the block V_r forgets whence it came."""
     recordings = simulate_many("deck/paper", range(10), duration=120.0)
     whole, torn = (run_alignment(recordings, {"no_cross": c}, velocity_noise=2.0) for c in (0, 1))
     ratio = deviations(torn)[:, -1] / deviations(whole)[:, -1]

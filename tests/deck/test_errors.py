@@ -146,7 +146,7 @@ def test_the_moving_mean_is_centred_and_leaves_constants():
 
 
 def test_the_filters_own_errors_are_as_large_as_expected(batch):
-    """SCIENCE B2: attitude below an arcminute or two, θ limited by the split."""
+    """Attitude to an arcminute or two, θ by the split: docs/science/idam.md#information-limit."""
     found = deck_errors(batch, run_deck("alignment", batch).states)
     assert found.norm["attitude"].max() < 3.0
     assert 0.5 < found.norm["theta"].mean() < 12.0

@@ -318,7 +318,7 @@ def test_a_delay_beyond_the_flight_is_named(tmp_path):
 # --- the real files -------------------------------------------------------------------------------
 
 TRIALS = ("Test03_Trial1", "Test05_Trial2")
-# λ in rad/s, measured before this project by an independent prototype (SCIENCE part D)
+# λ in rad/s, measured before this project by an independent prototype: docs/science/data.md#repoimu
 BY_VICON = {"Test03_Trial1": 4.227, "Test05_Trial2": 4.186}
 BY_GYROS = {"Test03_Trial1": 4.231, "Test05_Trial2": 4.213}
 

@@ -152,7 +152,7 @@ def test_oscillation_is_frequency_over_damping_and_leaves_the_stiffness(ratio):
 
 
 def test_the_split_between_static_and_dynamic_is_bounded_as_published():
-    """SCIENCE B2: 1.45, 1.45 and 3.96 arcmin after 300 s."""
+    """docs/science/idam.md#information-limit: 1.45, 1.45 and 3.96 arcmin after 300 s."""
     assert PAPER.split_deviation(300.0) / ARCMIN == pytest.approx([1.45, 1.45, 3.96], abs=0.005)
     assert np.array_equal(PAPER.split_deviation(0.0), PAPER.sigma)
 

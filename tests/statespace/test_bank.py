@@ -150,7 +150,7 @@ def test_equal_modes_are_the_kalman_filter_and_keep_equal_weights(problem, stay)
 
 
 def test_shared_covariance_costs_less_than_two_in_a_thousand():
-    """SCIENCE A6: within .2 % of the 4 x 4 covariance, in position RMSE."""
+    """Within .2 % of the 4 x 4 covariance, in RMSE: docs/science/qivbf.md#bank-and-combiner."""
     recordings = simulate_many("auv/switch-B", range(10))
     batch = Batch.of(recordings)
     shared = run("bank", batch).states

@@ -34,7 +34,8 @@ FILTER = {
     "process_noise_scale": 1.0,
 }
 
-# Measured before this project by an independent prototype, 200-300 runs: m, m/s (SCIENCE C)
+# Measured before this project by an independent prototype, 200-300 runs: m, m/s.
+# docs/science/external-truths.md#adaptive-noise
 EXPECTED = {"nominal": (9.70, 6.19), "true": (3.69, 3.83), "vbakf": (4.12, 4.56)}
 LATE_VBAKF = (3.28, 4.06)  # last 500 steps
 

@@ -118,7 +118,8 @@ def test_steady_state_solves_the_riccati_equation():
     steady = np.linalg.inv(np.linalg.inv(prior) + np.linalg.inv(model.R))
     found = navgym.estimate("kf", recording).covariances[-1]
     np.testing.assert_allclose(found, steady, atol=1e-10)
-    np.testing.assert_allclose(np.diag(found), [0.189449, 0.004703] * 2, atol=1e-6)  # SCIENCE A2
+    # docs/science/qivbf.md#expected-errors
+    np.testing.assert_allclose(np.diag(found), [0.189449, 0.004703] * 2, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -179,7 +180,7 @@ def position_rmse(name, recordings):
 def test_filling_with_zeros_diverges_and_holding_costs_twice_as_much():
     recordings = simulate_many("auv/nominal", range(40))
     plain = position_rmse("kf", recordings)
-    assert plain == pytest.approx(0.738, rel=0.05)  # SCIENCE A2
+    assert plain == pytest.approx(0.738, rel=0.05)  # docs/science/qivbf.md#expected-errors
     assert position_rmse("kf_hold", recordings) == pytest.approx(1.43, rel=0.15)
     assert position_rmse("kf_zero", recordings) > 100.0
     assert run("kf_zero", Batch.of(recordings)).diverged.mean() > 0.5

@@ -28,7 +28,7 @@ def test_it_agrees_with_its_twin(problem, sweeps, tau, count0):
 
 @pytest.mark.parametrize("sweeps", [1, 5, 20])
 def test_it_diverges_in_most_runs_even_when_nothing_is_lost(sweeps):
-    """In about 90 % of runs (SCIENCE A1): a position error above a hundred sigma."""
+    """In about 90 % of runs (docs/science/qivbf.md#errata) an error above a hundred sigma."""
     batch = Batch.of(simulate_many("auv/nominal", range(60), loss=0.0))
     found = run("qivbf_printed", batch, {"vb_iterations": sweeps})
     error = np.abs(found.states - batch.truth)[..., [0, 2]].max((1, 2))

@@ -301,7 +301,8 @@ def test_the_reference_of_switch_d_is_the_best_fixed_filter():
 
     cases = Cases.simulated("auv/switch-D", "test", 300)
     reference = cases.errors("qivbf", dict(SCENARIOS["switch-D"].reference))[0].mean()
-    assert reference == pytest.approx(1.161, rel=0.02)  # SCIENCE A4
+    # docs/science/qivbf.md#scenarios-and-headroom
+    assert reference == pytest.approx(1.161, rel=0.02)
     assert reference < cases.errors("qivbf")[0].mean()
 
 

@@ -1,4 +1,6 @@
-"""The 24-state deck filter, dense and from the equations (IDAM eq. 34-78 with SCIENCE B1's errata).
+"""The 24-state deck filter, dense and from the equations: IDAM eq. 34-78, corrected.
+
+Errata: docs/science/idam.md#errata.
 
 Letters: C turns from the sub's axes into `is`, D from the main's into `im`; L0 θ = θ × r0;
 V_r = B (θ, θ̇) less its value at the start, B = D [(ω×) L0, L0] (eq. 70 without derivatives of ω).
@@ -191,7 +193,7 @@ NAMES = (
 
 
 def first_deviations(model, flexure):
-    """Standard deviations of the states at the start (SCIENCE B1)."""
+    """Standard deviations of the states at the start: docs/science/idam.md#start-and-noise."""
     each = [
         model.misalignment, 1e-6, 1e-8, model.gyro_bias, model.accelerometer_bias, 1e-6,
     ]  # fmt: skip

@@ -1,4 +1,6 @@
-"""The corrected variational-Bayes step (SCIENCE A1), with its evidence lower bound.
+"""The corrected variational-Bayes step, with its evidence lower bound.
+
+docs/science/qivbf.md#the-corrected-step.
 
 Model of one sample, x⁻, P⁻, ν⁻ and U⁻ given:
 

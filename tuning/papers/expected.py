@@ -1,7 +1,7 @@
 """Figures to reproduce, from an independent prototype that was measured before this project began.
 
-Position RMSE in m, 300 runs, 95 % interval of about 1 to 2 % (SCIENCE A2, A4, A6), or mean and
-standard error of 60 runs (A2, real tracks). They are for acceptance only: nothing computes with them.
+Position RMSE in m, 300 runs, 95 % interval of about 1 to 2 %, or mean and standard error of 60 runs
+(real tracks): docs/science/qivbf.md. They are for acceptance only: nothing computes with them.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Check:
         return self.verdict != "outside"
 
 
-# SCIENCE A2: 30 % independent loss, 500 steps
+# docs/science/qivbf.md#expected-errors: 30 % independent loss, 500 steps
 COLUMNS = ("oracle", "kf", "vbakf, untuned", "qivbf, untuned", "kf_hold", "kf_zero")
 LOSSES: Mapping[str, tuple[float, ...]] = {
     "nominal": (0.738, 0.738, 0.758, 0.767, 1.43, 195.0),
@@ -65,14 +65,16 @@ LOSSES: Mapping[str, tuple[float, ...]] = {
 }
 NO_LOSS = 0.623  # kf at no loss, nominal
 
-# SCIENCE A4: best fixed (N_VB, τ, ρ, q), table by true regime, IMM of 6, oracle
+# docs/science/qivbf.md#scenarios-and-headroom: best fixed (N_VB, τ, ρ, q), table by true regime,
+# IMM of 6, oracle
 HEADROOM: Mapping[str, tuple[float, float, float, float]] = {
     "switch-D": (1.161, 0.961, 0.862, 0.777),
     "switch-B": (2.095, 1.700, 1.556, 1.445),
     "switch-A": (1.907, 1.813, 1.546, 1.428),
 }
 
-# SCIENCE A6: bank and wide IMM; gain of the bank over the wide IMM in % under shifts
+# docs/science/qivbf.md#bank-and-combiner: bank and wide IMM; gain of the bank over the wide IMM in
+# % under shifts
 BANK: Mapping[str, tuple[float, float]] = {"switch-D": (0.795, 0.871), "switch-B": (1.514, 1.562)}
 AT_MOST = {"switch-D": 0.80, "switch-B": 1.52}
 SHIFT_GAINS: Mapping[str, tuple[float, float]] = {
@@ -86,12 +88,14 @@ SHIFT_GAINS: Mapping[str, tuple[float, float]] = {
 }
 GAIN_SLACK = 0.5  # percentage points
 
-# SCIENCE A2, real tracks at 10, 30, 50 % loss: (mean, standard error); no error is given for the fills
+# docs/science/qivbf.md#real-tracks at 10, 30, 50 % loss: (mean, standard error); no error is given
+# for the fills
 TRACKS: Mapping[str, tuple[tuple[float, float], ...]] = {
     "kf": ((0.719, 0.014), (0.816, 0.019), (1.145, 0.053)),
     "kf_extrapolate": ((0.717, 0.014), (0.797, 0.019), (1.064, 0.053)),
     "kf_zero": ((21.0, 2.0), (56.0, 5.0), (91.0, 9.0)),
 }
-# SCIENCE A2, coordinated turn, on a geometry of its own: only the order of magnitude compares
+# docs/science/qivbf.md#expected-errors, coordinated turn, on a geometry of its own: only the order
+# of magnitude compares
 TURN = {"cukf": 0.664, "ukf": 0.664, "ckf": 0.664, "ekf": 0.663}
 TURN_SLACK = 0.061

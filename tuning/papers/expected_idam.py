@@ -1,4 +1,6 @@
-"""Deck figures to reproduce (SCIENCE B2, B3), and the paper's own (IDAM section 5).
+"""Deck figures to reproduce, and the paper's own (IDAM section 5).
+
+docs/science/idam.md#expected-errors, docs/science/idam.md#scenarios-and-headroom.
 
 θ and attitude in arcmin, θ̇ in arcmin/s. The prototype's number of runs is not known; with a
 seed-to-seed deviation of 1.3 to 3.6′ its means carry some tenth of their value.
@@ -35,5 +37,6 @@ SWITCH: Mapping[str, tuple[float, float, float]] = {
 }
 SWITCH_GAIN = 32.0  # % of θ̇, schedule against best fixed
 
-# RepoIMU: angular frequency of the relative swing by the optical reference, rad/s (SCIENCE D)
+# RepoIMU: angular frequency of the relative swing by the optical reference, rad/s:
+# docs/science/data.md#repoimu
 PENDULUM: Mapping[str, float] = {"Test03_Trial1": 4.227, "Test05_Trial2": 4.186}

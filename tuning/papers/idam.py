@@ -1,4 +1,7 @@
-"""The deck figures of IDAM section 5 and of SCIENCE B2 and B3, run again, each beside what was expected."""
+"""The deck figures of IDAM section 5 and of the prototype, run again, each beside what was expected.
+
+docs/science/idam.md#expected-errors, docs/science/idam.md#scenarios-and-headroom.
+"""
 
 from __future__ import annotations
 

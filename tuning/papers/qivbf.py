@@ -1,4 +1,4 @@
-"""The AUV figures of SCIENCE A2, A4 and A6, run again, each beside what was expected."""
+"""The AUV figures of the prototype (docs/science/qivbf.md), run again, beside what was expected."""
 
 from __future__ import annotations
 
