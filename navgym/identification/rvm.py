@@ -42,7 +42,7 @@ def spline(x: Array, z: Array) -> Array:
 
 
 class RVM:
-    """Sparse Bayesian regression.
+    """Sparse Bayesian regression; `fit` sets the attributes.
 
     Args:
         kernel: "gaussian"; "spline"; "precomputed" (x is the design matrix, (N, M)); or a function
@@ -53,7 +53,7 @@ class RVM:
         tolerance: of |Δ log α| at the end.
         limit: of steps; each adds, re-estimates or deletes one basis function.
 
-    After `fit`:
+    Attributes:
         relevance: (m,) indices of the relevance vectors, rising.
         weights: (m,) their posterior mean weights.
         intercept: posterior mean of the constant; 0 without one.
