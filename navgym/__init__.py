@@ -22,7 +22,7 @@ _HOME = {
     "DeckModel": "navgym.deck.model",
     "DualIMURecording": "navgym.deck.recording",
     "Estimate": "navgym.estimation",
-    "FlexureModel": "navgym.identification.flexure",
+    "FlexureModel": "navgym.inertial.flexure",
     "LinearModel": "navgym.statespace.models",
     "Parameter": "navgym.core.parameters",
     "ParameterSpace": "navgym.core.parameters",
@@ -69,7 +69,7 @@ if TYPE_CHECKING:
     from navgym.deck.recording import DualIMURecording
     from navgym.estimation import Estimate, estimate, filters, parameter_space
     from navgym.identification import identify
-    from navgym.identification.flexure import FlexureModel
+    from navgym.inertial.flexure import FlexureModel
     from navgym.readers import read
     from navgym.simulation import scenarios, simulate
     from navgym.statespace.models import LinearModel

@@ -13,7 +13,7 @@ from navgym.deck.alignment import LAYOUT, RATE, STATES, THETA
 from navgym.deck.mechanization import filled
 from navgym.deck.model import DeckModel, lever_matrix
 from navgym.deck.recording import DualIMURecording
-from navgym.identification.flexure import FlexureModel
+from navgym.inertial.flexure import FlexureModel
 
 f8 = np.float64
 MODEL = np.dtype(

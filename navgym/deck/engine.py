@@ -19,7 +19,7 @@ from navgym.deck.recording import DualIMURecording
 from navgym.deck.settings import FEATURES, DeckDeformationSettings
 from navgym.envs.actions import LIMIT
 from navgym.envs.base import TERMINATED, LaneEngine, Shelf
-from navgym.identification.flexure import FlexureModel
+from navgym.inertial.flexure import FlexureModel
 
 SIGNALS = ("alarm", "persistence", "rejected")
 WINDOW = spaces.IDAM.index("identification_window")

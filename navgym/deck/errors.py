@@ -11,7 +11,7 @@ from scipy.ndimage import uniform_filter1d
 
 from navgym.core.checks import Array
 from navgym.deck.batch import DeckBatch
-from navgym.identification.flexure import ARCMIN
+from navgym.inertial.flexure import ARCMIN
 
 START = 60.0  # s, when scoring begins: before, the filter is still finding its alignment
 MEAN_SECONDS = 60.0  # what `theta_ac` takes off: slower errors are the split between Φ and θ(0)

@@ -19,7 +19,7 @@ from navgym.deck.mechanization import TAPE, coarse_alignment, write_tape
 from navgym.deck.recording import DualIMURecording
 from navgym.estimation import Estimate
 from navgym.estimation import estimate as run_filter
-from navgym.identification.flexure import ARCMIN
+from navgym.inertial.flexure import ARCMIN
 from navgym.problem import Filter, Run
 
 UNOBSERVED = np.radians(0.5)  # standard deviation of an attitude that counts as not observed

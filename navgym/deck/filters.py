@@ -16,7 +16,7 @@ from navgym.deck import alignment_model
 from navgym.deck.batch import DeckBatch
 from navgym.deck.catalogue import Deck
 from navgym.deck.increments import increments_of, rodrigues
-from navgym.identification.flexure import FlexureModel
+from navgym.inertial.flexure import FlexureModel
 from navgym.problem import Filter
 
 # What shrinkage leans on: spread of (ln 2μ, ln b², ln σ) about the believed model, and how far fits miss

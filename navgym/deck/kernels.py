@@ -26,7 +26,7 @@ from navgym.envs.base import (
     TERMINATED,
     TRUNCATED,
 )
-from navgym.identification.flexure import ARCMIN
+from navgym.inertial.flexure import ARCMIN
 
 PARAMETERS = len(spaces.IDAM)  # of the environment's space
 DECAYS = np.array([0.8, 0.97, 0.995])  # per filter step: .2, 1.6 and 10 s at 20 Hz

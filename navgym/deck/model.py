@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from navgym.core.checks import Array, positive_int, real_array, within
 from navgym.core.frozen import Frozen
-from navgym.identification.flexure import ARCMIN, FlexureModel
 from navgym.inertial.earth import MICRO_G
+from navgym.inertial.flexure import ARCMIN, FlexureModel
 from navgym.inertial.imu import DEGREE_PER_HOUR, DEGREE_PER_ROOT_HOUR
 
 PAPER_FLEXURE = FlexureModel.from_correlation_time(

@@ -9,7 +9,7 @@ import numpy as np
 
 from navgym.deck.alignment import STATES, THETA
 from navgym.envs.canvas import ESTIMATE, LOST, TRUTH, Canvas
-from navgym.identification.flexure import ARCMIN
+from navgym.inertial.flexure import ARCMIN
 
 if TYPE_CHECKING:
     from navgym.deck.engine import DeckEngine

@@ -17,7 +17,7 @@ from navgym.core.checks import Array, positive_int, real_array, within
 from navgym.core.tables import Table, read_rows, read_table
 from navgym.deck.model import DeckModel
 from navgym.deck.recording import DualIMURecording, resample
-from navgym.identification.flexure import FlexureModel
+from navgym.inertial.flexure import FlexureModel
 
 AXES = ("X", "Y", "Z")
 LONGEST_GAP = 0.1  # s: RepoIMU's IMUs answer every 18 ms, the quadrotor's every 8 ms

@@ -15,7 +15,7 @@ import numpy as np
 
 from navgym.core.checks import one_of, positive_int, real_array, span, within
 from navgym.deck.model import DeckModel
-from navgym.identification.flexure import ARCMIN, FlexureModel
+from navgym.inertial.flexure import ARCMIN, FlexureModel
 from navgym.inertial.imu import ImuErrors
 
 Triple = tuple[float, float, float]

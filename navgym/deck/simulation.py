@@ -26,8 +26,8 @@ from navgym.core.seeds import split_of
 from navgym.deck.model import DeckModel
 from navgym.deck.recording import DualIMURecording
 from navgym.deck.scenarios import DeckScenario
-from navgym.identification.flexure import ARCMIN
 from navgym.inertial.earth import EARTH_RATE, GRAVITY
+from navgym.inertial.flexure import ARCMIN
 from navgym.inertial.imu_simulation import add_errors
 from navgym.inertial.strapdown import local_rate
 

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from navgym.core.checks import Array, one_of
 from navgym.identification import methods, shape
 from navgym.identification.correlation import Correlation, correlate
-from navgym.identification.flexure import FlexureModel
 from navgym.identification.methods import Found
+from navgym.inertial.flexure import FlexureModel
 
 _FUNCTIONS: dict[str, Callable[..., Found]] = {
     "rvm": methods.rvm,

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from navgym.core.checks import Array, real_array, within
-from navgym.identification.flexure import FlexureModel
+from navgym.inertial.flexure import FlexureModel
 
 
 def shrink(

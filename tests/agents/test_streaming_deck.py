@@ -12,7 +12,7 @@ from navgym.deck.batch import DeckBatch
 from navgym.deck.environment import DeckDeformationEnv
 from navgym.deck.estimation import attitudes
 from navgym.deck.problem import STEERED
-from navgym.identification.flexure import ARCMIN
+from navgym.inertial.flexure import ARCMIN
 from tests.agents.both import DECK, run_deck
 from tests.agents.live import episode, parameters, schedule, some_policy, stacked
 

@@ -12,8 +12,8 @@ from navgym.core import health
 from navgym.deck import alignment as kernels
 from navgym.deck.estimation import attitude_error, attitudes
 from navgym.deck.mechanization import TAPE
-from navgym.identification.flexure import ARCMIN, FlexureModel
 from navgym.inertial import update
+from navgym.inertial.flexure import ARCMIN, FlexureModel
 from navgym.simulation import simulate_many
 from tests.deck.lanes import outputs_for, prepare, rule_of, run_alignment
 from tests.twins import alignment as twin

@@ -9,7 +9,7 @@ from navgym.deck.csv_log import COLUMNS, relative_attitude, write_deck_csv
 from navgym.deck.model import DeckModel
 from navgym.deck.scenarios import DECK_CATALOGUE
 from navgym.deck.simulation import simulate
-from navgym.identification.flexure import ARCMIN
+from navgym.inertial.flexure import ARCMIN
 from navgym.inertial.imu import NO_ERRORS
 
 IMU = ("main_angle", "main_velocity", "sub_angle", "sub_velocity")
@@ -99,6 +99,16 @@ def test_gyros_are_in_degrees_per_hour_and_forces_in_metres_per_second_squared(l
     recording = read(log(table(main_gyro_y=[3600.0] * 20)))
     assert recording.main_angle[4] == pytest.approx([HOUR / 100, np.radians(0.01), HOUR / 100])
     assert recording.sub_velocity[4] == pytest.approx([0.01, 0.01, -0.098])
+
+
+@pytest.mark.parametrize(
+    ("unit", "value"), [("deg/h", 1800.0), ("deg/s", 0.5), ("rad/s", np.pi / 360.0)]
+)
+def test_half_a_degree_per_second_is_the_same_in_every_unit(log, unit, value):
+    rates = {f"{imu}_gyro_{axis}": [value] * 20 for imu in ("main", "sub") for axis in "xyz"}
+    recording = read(log(table(**rates)), gyro_unit=unit, check_units=False)
+    np.testing.assert_allclose(recording.main_angle[1:], np.radians(0.005), rtol=1e-12)
+    np.testing.assert_allclose(recording.sub_angle[1:], np.radians(0.005), rtol=1e-12)
 
 
 def test_options_reach_the_model(log):

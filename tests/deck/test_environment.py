@@ -9,7 +9,7 @@ import pytest
 import navgym
 from navgym.deck import spaces
 from navgym.deck.environment import DeckDeformationEnv, DeckDeformationVectorEnv
-from navgym.identification.flexure import ARCMIN
+from navgym.inertial.flexure import ARCMIN
 
 ID = "navgym/DeckDeformation-v0"
 TRUTH = ("theta", "theta_rate", "static", "attitude", "true_flexure", "impulse_variance")

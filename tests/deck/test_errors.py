@@ -10,7 +10,7 @@ import navgym
 from navgym.deck.alignment import FLEXING, THETA
 from navgym.deck.batch import DeckBatch
 from navgym.deck.errors import NAMES, UNITS, deck_errors, moving_mean
-from navgym.identification.flexure import ARCMIN
+from navgym.inertial.flexure import ARCMIN
 from navgym.simulation import simulate_many
 from tests.helpers import run_deck
 
@@ -119,6 +119,19 @@ def test_what_lies_beyond_a_shorter_recording_does_not_count(batch, perfect):
     states = perfect.copy()
     states[2, 3200:] = np.nan
     assert deck_errors(batch, states).norm["theta"][2] < 1e-9
+
+
+def test_the_first_minute_is_not_scored_unless_asked_for(batch, perfect):
+    early, late = perfect.copy(), perfect.copy()
+    minute = round(60.0 / batch.step)
+    early[:, :minute, 18] += 1.0
+    late[:, minute, 18] += 1.0
+    assert deck_errors(batch, early, attitude=False).norm["theta"].max() < 1e-9
+    assert deck_errors(batch, early, start=0.0, attitude=False).norm["theta"].min() > 1.0
+    scored = batch.lengths - minute  # one error of a radian among as many
+    np.testing.assert_allclose(
+        deck_errors(batch, late, attitude=False).norm["theta"], 1.0 / ARCMIN / np.sqrt(scored)
+    )
 
 
 def test_attitude_is_left_out_where_it_is_not_asked_for(batch, perfect):

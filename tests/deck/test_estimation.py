@@ -14,7 +14,7 @@ from navgym.deck.alignment import THETA
 from navgym.deck.estimation import attitude_error, attitudes
 from navgym.deck.increments import rodrigues
 from navgym.deck.mechanization import TAPE
-from navgym.identification.flexure import ARCMIN
+from navgym.inertial.flexure import ARCMIN
 from navgym.simulation import simulate_many
 
 

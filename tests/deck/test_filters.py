@@ -11,7 +11,7 @@ from navgym.deck import alignment as kernels
 from navgym.deck.batch import DeckBatch
 from navgym.deck.catalogue import CATALOGUE as DECK_CATALOGUE
 from navgym.deck.filters import full_table, printed_models, rule_of
-from navgym.identification.flexure import ARCMIN, FlexureModel
+from navgym.inertial.flexure import ARCMIN, FlexureModel
 from navgym.simulation import simulate_many
 from navgym.statespace.filters.catalogue import CATALOGUE
 from tests.deck.lanes import run_alignment

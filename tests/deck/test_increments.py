@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 import navgym
 from navgym.deck.estimation import final_alignment, flexure_increments
 from navgym.deck.increments import increments_of, rodrigues
-from navgym.identification.flexure import ARCMIN
+from navgym.inertial.flexure import ARCMIN
 from navgym.inertial.imu import NO_ERRORS
 from tests.deck.lanes import prepare
 

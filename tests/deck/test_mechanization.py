@@ -16,8 +16,8 @@ from navgym.deck.mechanization import TAPE, coarse_alignment, tapes_of
 from navgym.deck.model import DeckModel, lever_matrix
 from navgym.deck.recording import DualIMURecording
 from navgym.deck.simulation import _move
-from navgym.identification.flexure import ARCMIN
 from navgym.inertial.earth import GRAVITY
+from navgym.inertial.flexure import ARCMIN
 from navgym.inertial.imu import NO_ERRORS
 from navgym.simulation import find_scenario
 from tests.deck.lanes import run_alignment

@@ -17,8 +17,8 @@ from navgym.deck.model import DeckModel, lever_matrix
 from navgym.deck.recording import DualIMURecording, resample, steadiness, turning
 from navgym.deck.scenarios import DECK_CATALOGUE
 from navgym.deck.simulation import simulate
-from navgym.identification.flexure import FlexureModel
 from navgym.inertial.earth import GRAVITY
+from navgym.inertial.flexure import FlexureModel
 
 IMU = ("main_angle", "main_velocity", "sub_angle", "sub_velocity")
 STEPS = ("disturbance", "disturbance_variance", "impulse_variance", "true_flexure")
@@ -92,7 +92,9 @@ def test_the_reference_follows_from_the_truth_or_is_what_was_given(ship):
 
 def test_unit_quaternions_are_normalised_to_rounding():
     given = np.tile([0.001, 0.0, 0.0, 1.0], (40, 1))
-    assert np.allclose(np.linalg.norm(still(attitude=given).reference, axis=1), 1.0, atol=1e-15)
+    reference = still(attitude=1.005 * given).reference
+    np.testing.assert_allclose(np.linalg.norm(reference, axis=1), 1.0, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(reference[0, 0] / reference[0, 3], 0.001, rtol=1e-12)
 
 
 def test_arrays_are_copies_and_read_only(ship):

@@ -14,7 +14,7 @@ from navgym.deck.scenarios import (
     DeckRegime,
     DeckScenario,
 )
-from navgym.identification.flexure import ARCMIN
+from navgym.inertial.flexure import ARCMIN
 from navgym.inertial.imu import NO_ERRORS, ImuErrors
 from navgym.simulation import find_scenario
 
@@ -73,6 +73,11 @@ def test_recordings_hold_whole_filter_steps():
         ({"dwell": (0.0, 10.0)}, "dwell"),
         ({"lever_error": -0.1}, "lever_error must"),
         ({"latitude": 91.0}, "latitude must"),
+        ({"latitude": 89.1}, "latitude must"),
+        ({"latitude": -89.1}, "latitude must"),
+        ({"heading": 360.1}, "heading must"),
+        ({"heading": -360.1}, "heading must"),
+        ({"speed": -0.1}, "speed must"),
         ({"lever_arm": (1.0, 2.0)}, r"lever_arm must be three numbers, got \(1.0, 2.0\)"),
         ({"sway": (1.0, np.nan, 0.0)}, "sway must be finite"),
         ({"static": 3.0}, "static must be three numbers"),
@@ -82,6 +87,41 @@ def test_recordings_hold_whole_filter_steps():
 def test_impossible_scenarios_are_refused(fields, message):
     with pytest.raises(ValueError, match=message):
         DeckScenario("x", "", **fields)
+
+
+def test_errors_of_another_kind_are_refused():
+    for name in ("sub", "main"):
+        with pytest.raises(TypeError, match=f"{name} must be ImuErrors, got 0.1"):
+            DeckScenario("x", "", **{name: 0.1})
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"rate": 0.5, "samples_per_step": 1},
+        {"duration": 0.1},  # two filter steps
+        {"dwell": (1e-3, 1e-3)},
+        {"lever_error": 0.0},
+        {"latitude": 89.0},
+        {"latitude": -89.0},
+        {"heading": 360.0},
+        {"heading": -360.0},
+        {"speed": 0.0},
+        {"regimes": (DeckRegime(glitch_rate=1.0, outlier_rate=1.0),)},
+        {
+            "regimes": (
+                DeckRegime(
+                    slam_size=0.0, glitch_velocity=0.0, glitch_rate_size=0.0, outlier_size=0.0
+                ),
+            )
+        },
+    ],
+    ids=" ".join,
+)
+def test_the_ends_of_every_range_belong_to_it(fields):
+    made = DeckScenario("x", "", **fields)
+    for name, value in fields.items():
+        assert getattr(made, name) == value
 
 
 @pytest.mark.parametrize(
@@ -99,6 +139,14 @@ def test_impossible_scenarios_are_refused(fields, message):
 def test_impossible_regimes_are_refused_by_name(fields, message):
     with pytest.raises(ValueError, match=message):
         DeckRegime("storm", **fields)
+
+
+def test_imu_errors_are_in_the_units_of_data_sheets():
+    degree, gravity = np.pi / 180.0, 9.80665
+    wanted = [degree / 3600, degree / 60, 1e-6 * gravity, 1e-6 * gravity, 1e-6, degree / 3600]
+    for i, unit in enumerate(wanted):
+        np.testing.assert_allclose(ImuErrors(*np.eye(6)[i]).si, np.eye(6)[i] * unit)
+    assert ImuErrors(1.0, 2.0, 3.0, 4.0, 5.0, 6.0).scaled(0.5) == ImuErrors(0.5, 1, 1.5, 2, 2.5, 3)
 
 
 def test_negative_imu_errors_are_refused():

@@ -10,8 +10,8 @@ from scipy.stats import chi2
 import navgym
 from navgym.deck.mechanization import tapes_of
 from navgym.deck.scenarios import DECK_CATALOGUE, DeckRegime, DeckScenario
-from navgym.identification.flexure import ARCMIN
 from navgym.inertial.earth import EARTH_RATE, EQUATORIAL_RADIUS, GRAVITY, MICRO_G
+from navgym.inertial.flexure import ARCMIN
 from navgym.inertial.imu import DEGREE_PER_HOUR, DEGREE_PER_ROOT_HOUR, NO_ERRORS, ImuErrors
 from navgym.simulation import find_scenario, simulate_many
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from navgym.identification import METHODS, correlate, identify, methods, shape
-from navgym.identification.flexure import FlexureModel
+from navgym.identification import METHODS, catalogue, correlate, identify, methods, shape
+from navgym.inertial.flexure import FlexureModel
 from tests.identification.world import PAPER, exact, logarithms, rms_ln_b, simulate
 
 QUICK = ("rvm", "rvm_dictionary", "nls", "tufts_kumaresan", "regression")
@@ -180,6 +180,90 @@ def test_deviations_are_what_errors_are(records):
         assert 0.8 < np.sqrt(np.median(np.square(ratio))) / 0.6745 < 1.5
 
 
+@pytest.mark.parametrize("world", WORLDS)
+def test_no_estimate_beats_the_fisher_information_of_the_path(world):
+    """Seen continuously, dθ̇ = −(2μ θ̇ + b² θ) dt + dw tells of 2μ and b² with W var(θ̇)/q and
+    W var(θ)/q. The W/t0 increments tell of q as a chi-square does, and σ² = q/(2·2μ·b²).
+    """
+    model, data = WORLDS[world], exact(WORLDS[world], duration=170.0)
+    for axis in range(3):
+        q, W = model.noise_density[axis], 170.0
+        absolute = q / W / np.array([model.rate_sigma[axis] ** 2, model.sigma[axis] ** 2])
+        relative = absolute / np.array([model.damping[axis], model.stiffness[axis]]) ** 2
+        own = np.diag([*relative, 2.0 * 0.5 / W])  # of ln 2μ, ln b², ln q
+        to_logs = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-0.5, -0.5, 0.5]])
+        b = np.sqrt(model.stiffness[axis])
+        place = np.log([model.damping[axis] / 2.0 / b, b])
+        np.testing.assert_allclose(
+            shape.sampling_limit(place, data), to_logs @ own @ to_logs.T, rtol=1e-9
+        )
+
+
+def test_the_deviation_of_a_fit_is_bartletts():
+    """Least squares on an empirical autocorrelation whose errors covary as Bartlett (1946) says."""
+    model = FlexureModel([0.9, 0.5, 1.6], [0.5, 0.8, 0.6], SIGMA)
+    data = exact(model, lags=40, duration=170.0)
+    noise = 0.3 * data.variance  # of the gyros, at lag 0
+    for axis in range(3):
+        b = np.sqrt(model.stiffness[axis])
+        place = np.log([model.damping[axis] / 2.0 / b, b])
+
+        def curve(logs, times, axis=axis):
+            return FlexureModel(*np.exp(logs)).increment_autocorrelation(times, 0.5)[..., axis]
+
+        R = curve(logarithms(model)[axis], 0.5 * np.arange(-160.0, 161.0))
+        R[160] = data.variance[axis] + noise[axis]
+        m = np.arange(-100, 101) + 160
+        lags = np.arange(1, 41)
+        errors = np.array(
+            [[R[m] @ R[m + p - r] + R[m + p] @ R[m - r] for r in lags] for p in lags]
+        ) * (0.5 / 170.0)  # fmt: skip
+        here, h = logarithms(model)[axis], 1e-5 * np.eye(3)
+        J = np.stack([(curve(here + e, data.lags) - curve(here - e, data.lags)) / 2e-5 for e in h])
+        inverse = np.linalg.pinv(J.T)
+        wanted = inverse @ errors @ inverse.T
+        found = shape.deviation(place, model.sigma[axis], data, data.variance[axis] + noise[axis])
+        least = np.sqrt(np.diag(shape.sampling_limit(place, data)))
+        scale = np.maximum(least / np.sqrt(np.diag(wanted)), 1.0)
+        np.testing.assert_allclose(found, wanted * np.outer(scale, scale), rtol=2e-3, atol=1e-5)
+
+
+def test_a_method_that_is_no_fit_adds_its_distance_from_the_fit_to_the_covariance(records):
+    """`nls` is the fit that is nearest to the same curve; the error of the way to it is one more."""
+    for record in records[:3]:
+        far, near = identify("tufts_kumaresan", record, 0.5), identify("nls", record, 0.5)
+        away = logarithms(far) - logarithms(near)
+        wanted = near.diagnostics["covariance"] + away[:, :, None] * away[:, None, :]
+        np.testing.assert_allclose(far.diagnostics["covariance"], wanted, rtol=1e-6, atol=1e-12)
+
+
+def test_where_nothing_decays_the_slowest_wave_is_taken_for_the_signal():
+    """No pole lies outside of the unit circle: the one nearest to it is moved just beyond."""
+    roots = np.array([0.5, 0.97 * np.exp(0.4j), 0.97 * np.exp(-0.4j), -0.2])
+    found = methods._signal(roots, np.ones(30))
+    np.testing.assert_allclose(found, 1.001 * np.exp([0.4j, -0.4j]), rtol=1e-12)
+
+
+def test_the_longest_lag_goes_from_twenty_steps_to_half_the_record():
+    record = varied((400, 3))
+    for longest in (10.0, 100.0):
+        assert correlate(record, 0.5, longest_lag=longest).lags[-1] == longest
+    for longest in (9.5, 100.5):
+        with pytest.raises(ValueError, match="longest_lag"):
+            correlate(record, 0.5, longest_lag=longest)
+    assert correlate(varied((80, 3)), 0.5).lags[-1] == 10.0  # a quarter of 40 s
+    assert correlate(varied((600, 3)), 0.5).lags[-1] == 60.0
+
+
+def test_forty_pairs_at_each_lag_are_enough():
+    """Two halves of 80 increments far apart hold 2 · (80 − n) pairs at lag n."""
+    record = varied((400, 3))
+    record[80:320] = np.nan
+    assert len(correlate(record, 0.5, longest_lag=30.0).lags) == 60
+    with pytest.raises(ValueError, match="only 38 pairs"):
+        correlate(record, 0.5, longest_lag=30.5)
+
+
 def test_the_kernel_scale_is_a_dead_knob_below_eight_seconds(records):
     def ln_b(scale):
         models = [identify("rvm", r, 0.5, kernel_scale=scale) for r in records[:4]]
@@ -203,6 +287,35 @@ def test_what_a_model_says_about_its_identification(records):
     limit = np.sqrt(1.0 / (np.sqrt(found.stiffness) * 300.0) * found.damping / 2.0)
     limit /= found.stiffness**0.25
     assert (found.deviation[:, 1] / 2.0 >= limit * 0.999).all()
+
+
+def test_the_residual_is_the_misfit_of_the_model_s_autocorrelation(records):
+    for method in ("nls", "regression"):
+        found = identify(method, records[0], 0.5)
+        told = found.diagnostics
+        misfit = found.increment_autocorrelation(told["lags"], 0.5) - told["autocorrelation"]
+        wanted = np.linalg.norm(misfit, axis=0) / np.linalg.norm(told["autocorrelation"], axis=0)
+        np.testing.assert_allclose(told["residual"], wanted, rtol=1e-6)
+
+
+@pytest.mark.parametrize("end", [0, 1], ids=["least", "largest"])
+@pytest.mark.parametrize("which", [0, 1], ids=["damping ratio", "frequency"])
+def test_an_axis_within_a_thousandth_of_the_region_s_edge_says_so(records, monkeypatch, which, end):
+    away = 1e-3 * np.array([0.0, 0.9, 1.1])
+
+    def placed(data, axis):
+        region = shape.region(data)
+        place = np.mean(region, axis=0)
+        place[which] = region[end][which] + away[axis] * (-1.0) ** end
+        curve = shape.increment_autocorrelation(place, data.lags, data.step)
+        return methods.Found(place, curve, covariance=np.eye(3))
+
+    monkeypatch.setitem(catalogue._FUNCTIONS, "nls", placed)
+    assert identify("nls", records[0], 0.5).diagnostics["at_bound"].tolist() == [True, True, False]
+
+
+def test_a_usual_motion_lies_inside_of_the_region(records):
+    assert not identify("nls", records[0], 0.5).diagnostics["at_bound"].any()
 
 
 def test_every_method_has_a_summary():

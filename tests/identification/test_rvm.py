@@ -134,6 +134,17 @@ def test_a_constant_is_learnt_with_a_bias_and_two_dimensions_are_points():
     assert len(machine.relevance) <= 6
 
 
+def test_a_constant_may_be_all_that_is_relevant():
+    noise = 0.01 * np.random.default_rng(0).standard_normal(len(X))
+    nothing = np.zeros((len(X), 1))
+    machine = RVM("precomputed", bias=True, noise=0.01).fit(nothing, 5.0 + noise)
+    assert len(machine.relevance) == len(machine.weights) == 0
+    assert machine.intercept == pytest.approx(5.0 + noise.mean(), rel=1e-6)
+    mean, deviation = machine.predict(nothing[:3], deviation=True)
+    np.testing.assert_allclose(mean, machine.intercept)
+    np.testing.assert_allclose(deviation, 0.01 * np.sqrt(1.0 + 1.0 / len(X)), rtol=1e-4)
+
+
 def test_targets_that_are_zero_leave_nothing_relevant():
     machine = RVM().fit(X, np.zeros(100))
     assert len(machine.relevance) == 0
@@ -169,7 +180,22 @@ def test_options_that_cannot_be_used_are_named(options, message):
         RVM(**options)
 
 
+def test_a_function_that_is_zero_everywhere_is_never_relevant():
+    design = np.column_stack((np.zeros(len(X)), np.exp(-((X[:, None] - X[::10]) ** 2) / 9.0)))
+    with_it, without = RVM("precomputed", noise=0.1), RVM("precomputed", noise=0.1)
+    with_it.fit(design, SINC)
+    without.fit(design[:, 1:], SINC)
+    assert 0 not in with_it.relevance
+    assert np.isfinite(with_it.predict(design)).all()
+    np.testing.assert_allclose(with_it.predict(design), without.predict(design[:, 1:]), atol=1e-3)
+
+
 def test_data_that_cannot_be_used_are_named():
+    for points in (np.zeros((3, 1, 1)), np.zeros((0, 2)), np.zeros(0), 3.0):
+        with pytest.raises(ValueError, match="x must have shape"):
+            RVM().fit(points, np.zeros(len(np.atleast_1d(points))))
+    with pytest.raises(ValueError, match="and at least 2"):
+        RVM().fit([1.0], [1.0])
     with pytest.raises(ValueError, match="y must hold one number per row"):
         RVM().fit(X, SINC[:-1])
     with pytest.raises(ValueError, match=r"kernel\(x, z\) must return shape"):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from navgym.identification import Correlation
-from navgym.identification.flexure import ARCMIN, FlexureModel
+from navgym.inertial.flexure import ARCMIN, FlexureModel
 
 PAPER = FlexureModel.from_correlation_time([10.0, 10.0, 30.0], np.array([6.0, 6.0, 10.0]) * ARCMIN)
 

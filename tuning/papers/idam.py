@@ -31,7 +31,7 @@ from navgym.deck.problem import PROBLEM
 from navgym.deck.recording import DualIMURecording
 from navgym.deck.scenarios import CALM, GUESS
 from navgym.identification import METHODS, identify
-from navgym.identification.flexure import ARCMIN, FlexureModel
+from navgym.inertial.flexure import ARCMIN, FlexureModel
 from navgym.problem import Filter
 
 AXES = ("x", "y", "z")

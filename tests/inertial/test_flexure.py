@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.linalg import expm, solve_continuous_lyapunov
 
-from navgym.identification.flexure import ARCMIN, CRITICAL, FlexureModel
+from navgym.inertial.flexure import ARCMIN, CRITICAL, FlexureModel
 
 PAPER = FlexureModel.from_correlation_time([10.0, 10.0, 30.0], np.array([6.0, 6.0, 10.0]) * ARCMIN)
 KINDS = ("under", "critical", "over")
@@ -200,4 +200,12 @@ def test_copies_keep_the_numbers_and_stay_read_only(copied):
 def test_the_paper_is_the_default_of_a_deck_model():
     from navgym.deck.model import DeckModel
 
-    assert np.array_equal(DeckModel().flexure.stiffness, PAPER.stiffness)
+    model = DeckModel()
+    np.testing.assert_array_equal(model.flexure.stiffness, PAPER.stiffness)
+    np.testing.assert_array_equal(model.flexure.damping, PAPER.damping)
+    np.testing.assert_allclose(model.flexure.sigma, np.radians(np.array([6.0, 6.0, 10.0]) / 60.0))
+    np.testing.assert_array_equal(model.lever_arm, [10.0, 10.0, 2.0])
+    assert model.gyro_bias == pytest.approx(np.radians(0.05) / 3600.0)
+    assert model.gyro_noise == pytest.approx(np.radians(0.001) / 60.0)
+    assert model.accelerometer_bias == pytest.approx(200e-6 * 9.80665)
+    assert model.accelerometer_noise == pytest.approx(10e-6 * 9.80665)
