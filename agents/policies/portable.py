@@ -9,8 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,15 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navgym.core.atomic import replacing
+from navgym.core.storage import Arrays, read_npz
 
 FORMAT = 1
-
-Arrays = dict[str, NDArray[Any]]
-
-_UNREADABLE = (
-    ValueError, TypeError, EOFError, OSError, KeyError, zipfile.BadZipFile, zlib.error,
-    NotImplementedError,
-)  # fmt: skip
 
 
 def pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
@@ -82,7 +74,7 @@ def read(
                 "one, and copy both together."
             )
     header = _header(beside, kind, wanted)
-    arrays = _arrays(target, kind)
+    arrays = read_npz(target, f"is no {kind}, or is truncated", "Save it again.")
     found = digest(arrays)
     if found != header["sha256"]:
         raise ValueError(
@@ -121,13 +113,3 @@ def _header(path: Path, kind: str, wanted: Sequence[str]) -> dict[str, Any]:
     if missing:
         raise ValueError(f"{path} is damaged: it lacks {missing[0]!r}. Save it again.")
     return header
-
-
-def _arrays(path: Path, kind: str) -> Arrays:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-    except _UNREADABLE as error:
-        raise ValueError(
-            f"{path} is no {kind}, or is truncated ({error}): save it again."
-        ) from error

@@ -18,8 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from navgym.agents.policies.portable import digest
-from navgym.agents.training.vec_env import LaneVecEnv
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
@@ -27,7 +25,10 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.save_util import recursive_getattr
 from stable_baselines3.common.vec_env import VecNormalize
 
+from navgym.agents.policies.portable import digest
+from navgym.agents.training.vec_env import LaneVecEnv
 from navgym.core.atomic import replacing
+from navgym.core.storage import read_npz
 
 Report = Callable[[str], None]  # takes lines of progress
 
@@ -127,8 +128,7 @@ def _all(folder: Path) -> list[Path]:
 
 
 def _load(path: Path) -> Checkpoint:
-    with np.load(path, allow_pickle=False) as file:
-        arrays = {name: file[name] for name in file.files}
+    arrays = read_npz(path, "is no checkpoint, or is truncated", "Remove it.")
     if str(arrays.pop("sha256")) != digest(arrays):
         raise ValueError("its content does not match its hash")
     return Checkpoint(arrays, json.loads(str(arrays.pop("facts"))))

@@ -59,17 +59,28 @@ def writable(meta: Mapping[str, Any]) -> dict[str, Any]:
     return copied
 
 
-def _read(path: str | os.PathLike[str], kind: str) -> Arrays:
+def read_npz(path: str | os.PathLike[str], what: str, remedy: str) -> Arrays:
+    """The arrays of an npz file, never unpickled.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: no npz, a truncated one, or one that needs pickle: "PATH WHAT (why). REMEDY".
+    """
     try:
         with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+            return {name: file[name] for name in file.files}
     except _UNREADABLE as error:
         if isinstance(error, FileNotFoundError):
             raise
-        raise ValueError(
-            f"{path} is not a navgym recording or is truncated ({error}). "
-            f"Use a file that {kind}.save wrote, or navgym.read for other formats."
-        ) from error
+        raise ValueError(f"{path} {what} ({error}). {remedy}") from error
+
+
+def _read(path: str | os.PathLike[str], kind: str) -> Arrays:
+    arrays = read_npz(
+        path,
+        "is not a navgym recording or is truncated",
+        f"Use a file that {kind}.save wrote, or navgym.read for other formats.",
+    )
     if "header" not in arrays or "time" not in arrays:
         raise ValueError(
             f"{path} is an npz file but not a navgym recording: it holds {sorted(arrays)[:8]}. "

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
 import re
-import sys
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
@@ -18,6 +15,7 @@ import jinja2
 from markupsafe import Markup, escape
 
 import navgym
+from navgym.core.atomic import replacing
 
 LIBRARIES = ("numpy", "scipy", "numba", "optuna", "matplotlib")
 
@@ -119,25 +117,15 @@ def write_json(path: Path, value: Any) -> Path:
 def write_text(path: Path, text: str) -> Path:
     """Write a file whole or not at all: a reader never sees half of it; returns the path."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(
-        "w", dir=path.parent, suffix=".tmp", delete=False, encoding="utf-8"
-    ) as file:
-        try:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        except BaseException:
-            Path(file.name).unlink(missing_ok=True)
-            raise
-    Path(file.name).chmod(0o644)  # temporary files are private, a report is not
-    Path(file.name).replace(path)
+    with replacing(path, text=True) as file:
+        file.write(text)
     return path
 
 
-def provenance(script: str, **settings: Any) -> dict[str, Any]:
+def provenance(command: str, **settings: Any) -> dict[str, Any]:
     """What a result rests on: the command as it was given, versions, and `settings`."""
     return {
-        "command": " ".join(["python", f"scripts/{script}", *sys.argv[1:]]),
+        "command": command,
         "versions": {"navgym": navgym.__version__, "python": platform.python_version()}
         | {name: metadata.version(name) for name in LIBRARIES},
         **settings,
