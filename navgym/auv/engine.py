@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from navgym.auv import kernels as K
 from navgym.core.checks import Array
-from navgym.envs.actions import LIMIT
 from navgym.envs.base import LaneEngine, Shelf
 from navgym.statespace.batch import Batch
 from navgym.statespace.filters import kalman, qivbf
@@ -30,7 +29,6 @@ class Engine(LaneEngine):
     INFO_NAMES: ClassVar[tuple[str, ...]] = (
         "rmse", "reference_rmse", "nis", "lost", "regime", "reward_term",
     )  # fmt: skip
-    LIMIT: ClassVar[float] = LIMIT
 
     def _begin(self) -> None:
         given = self.settings.recordings
@@ -128,11 +126,7 @@ class Engine(LaneEngine):
 
     def _check_usable(self, batch: Batch) -> None:
         reward = self.settings.reward
-        if reward != "likelihood" and batch.truth is None:
-            raise ValueError(
-                f"reward={reward!r} needs the truth, which these recordings lack: "
-                "use reward='likelihood'."
-            )
+        self.check_truth(batch.truth)
         if reward in ORACLE_REWARDS and batch.scales is None:
             raise ValueError(
                 f"reward={reward!r} needs the true noise scales, which only simulated "

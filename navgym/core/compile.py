@@ -56,14 +56,27 @@ def _fingerprint(file: str, package: Path = _PACKAGE) -> str:
 
 @functools.lru_cache
 def _kernel_files(path: Path, package: Path) -> tuple[Path, ...]:
-    """The kernel files of `package` that `path` imports, and those of constants frozen into kernels."""
+    """The kernel files that `path` imports, and those of constants frozen into kernels.
+
+    They are looked for in `package` and in the package that `path` itself belongs to: a problem of
+    one's own may have several files.
+    """
+    roots = {top.name: top for top in (_top(path), package)}
     modules = (m.split(".") for m in _imported(_content(path).decode()))
     files = [
-        package.joinpath(*names[1:-1], f"{names[-1]}.py")
+        roots[names[0]].joinpath(*names[1:-1], f"{names[-1]}.py")
         for names in modules
-        if names[0] == package.name and len(names) > 1
+        if names[0] in roots and len(names) > 1
     ]
     return tuple(f for f in files if f.is_file() and any(m in _content(f) for m in _MARKS))
+
+
+def _top(path: Path) -> Path:
+    """The outermost package that a file lies in; its folder where it lies in none."""
+    folder = path.parent
+    while (folder.parent / "__init__.py").is_file():
+        folder = folder.parent
+    return folder
 
 
 @functools.lru_cache

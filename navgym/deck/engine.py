@@ -17,7 +17,6 @@ from navgym.deck.filters import columns_of, full_table, identify_lane
 from navgym.deck.mechanization import TAPE
 from navgym.deck.recording import DualIMURecording
 from navgym.deck.settings import FEATURES, DeckDeformationSettings
-from navgym.envs.actions import LIMIT
 from navgym.envs.base import TERMINATED, LaneEngine, Shelf
 from navgym.inertial.flexure import FlexureModel
 
@@ -37,7 +36,6 @@ class DeckEngine(LaneEngine):
         "theta_rate_rmse", "reference_theta_rate_rmse", "theta_ac_rmse", "reference_theta_ac_rmse",
         "theta_rmse", "reference_theta_rmse", "weight", "power", "regime", "reward_term",
     )  # fmt: skip
-    LIMIT: ClassVar[float] = LIMIT
 
     def _begin(self) -> None:
         self._rule = rule_of(self.settings)
@@ -92,11 +90,7 @@ class DeckEngine(LaneEngine):
     ) -> Shelf:
         """Make recordings ready: mechanise them and run the reference filter; see `LaneEngine`."""
         batch = DeckBatch.of(recordings)
-        if self.settings.reward != "likelihood" and batch.truth is None:
-            raise ValueError(
-                f"reward={self.settings.reward!r} needs the truth, which these recordings lack: "
-                "use reward='likelihood'."
-            )
+        self.check_truth(batch.truth)
         count, steps = batch.tapes.shape
         models = np.stack([alignment_model.pack(r) for r in batch.recordings])
         stations = np.concatenate([station_of(row) for row in rows])

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from navgym.core.checks import Array, positive_int
 from navgym.core.compile import entry
 from navgym.core.seeds import SIZE, seeds
-from navgym.envs.actions import action_table
+from navgym.envs.actions import LIMIT, action_table
 from navgym.envs.settings import LaneSettings
 from navgym.simulation import find_scenario, simulate_many
 from navgym.tuned import read_tuned
@@ -75,7 +75,7 @@ class LaneEngine:
     """
 
     INFO_NAMES: ClassVar[tuple[str, ...]]  # columns of an outcome after the first three
-    LIMIT: ClassVar[float]  # observations lie within plus or minus this
+    LIMIT: ClassVar[float] = LIMIT  # observations lie within plus or minus this
 
     # what an engine allocates in `_allocate`
     lanes: NDArray[Any]
@@ -188,6 +188,14 @@ class LaneEngine:
         if len(self.space.array(chosen)) > 1:
             raise ValueError(f"reference must hold one number per parameter, got {chosen!r}.")
         return self.space.defaults | dict(chosen)
+
+    def check_truth(self, truth: Array | None) -> None:
+        """ValueError where the reward needs a truth that recordings lack."""
+        if truth is None and self.settings.reward != self.settings.BLIND:
+            raise ValueError(
+                f"reward={self.settings.reward!r} needs the truth, which these recordings lack: "
+                f"use reward={self.settings.BLIND!r}."
+            )
 
     def _row(self, reference: Mapping[str, Any]) -> Array:
         row: Array = self.space.array(reference)[0]

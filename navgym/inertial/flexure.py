@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from navgym.core.checks import Array, real_array
 from navgym.core.frozen import Frozen
 
-ARCMIN = np.pi / (180.0 * 60.0)  # rad
+ARCMIN = np.pi / (180.0 * 60.0)  # rad; frozen into kernels
 CRITICAL = 2.146  # solves (1 + x) e⁻ˣ = 1/e: β τ of a critically damped axis (IDAM eq. 3)
 
 

@@ -69,3 +69,21 @@ def test_an_edit_of_constants_that_kernels_freeze_renames_a_kernel(package):
     before = fingerprint(package)
     edit(package / "plain.py")
     assert fingerprint(package) != before
+
+
+def test_a_package_of_ones_own_is_followed_too(tmp_path, package):
+    mine = tmp_path / "mine" / "deeper"
+    mine.mkdir(parents=True)
+    for folder in (mine, mine.parent):
+        (folder / "__init__.py").write_text("")
+    (mine / "parts.py").write_text(KERNELS)
+    (mine / "top.py").write_text(KERNELS + "from mine.deeper.parts import helper\n")
+
+    def own():
+        for cached in (_fingerprint, _kernel_files, _content):
+            cached.cache_clear()
+        return _fingerprint(str(mine / "top.py"), package)
+
+    before = own()
+    edit(mine / "parts.py")
+    assert own() != before

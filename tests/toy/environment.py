@@ -5,7 +5,6 @@ import math
 import numpy as np
 
 from navgym.core.checks import within
-from navgym.envs.actions import LIMIT
 from navgym.envs.base import TALLY, LaneEngine, Shelf
 from navgym.envs.canvas import Canvas
 from navgym.envs.faces import LaneEnv, LaneVectorEnv
@@ -33,7 +32,6 @@ class WalkEngine(LaneEngine):
     """N lanes of the toy's filter."""
 
     INFO_NAMES = ("rmse", "reference_rmse", "nis", "regime", "reward_term")
-    LIMIT = LIMIT
     kernel = K.decide
 
     @property
@@ -62,11 +60,7 @@ class WalkEngine(LaneEngine):
 
     def prepare(self, recordings, rows, place=None):
         batch = WalkBatch.of(recordings)
-        if self.settings.reward != "likelihood" and batch.truth is None:
-            raise ValueError(
-                f"reward={self.settings.reward!r} needs the truth, which these recordings lack: "
-                "use reward='likelihood'."
-            )
+        self.check_truth(batch.truth)
         tapes = np.zeros(batch.y.shape, K.TAPE)
         tapes["y"] = batch.y
         tapes["truth"] = np.nan if batch.truth is None else batch.truth[..., 0]
