@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import navgym
+from navgym.core.parameters import ParameterSpace
 from navgym.envs.base import INFORMATION, TERMINATED, TRUNCATED
 from navgym.envs.live import CONTROLLED
 from navgym.envs.rules import HandRule
@@ -255,11 +256,12 @@ class TestEveryFilter:
             np.testing.assert_array_equal(heard, np.isfinite(run.nis[i, :length]))
         assert np.isnan(run.states[0, batch.lengths[0] :]).all()
 
-    def test_states_alone_are_the_same_states(self, name, filter_name):
+    def test_states_alone_unless_asked_for_more_are_the_same_states(self, name, filter_name):
         problem = PROBLEMS[name]
         batch = problem.stack(usual(problem))
-        short, full = (problem.run(filter_name, batch, everything=e) for e in (False, True))
+        short, full = (problem.run(filter_name, batch, **m) for m in ({}, {"everything": True}))
         np.testing.assert_array_equal(short.states, full.states)
+        np.testing.assert_array_equal(short.diverged, full.diverged)
         assert all(getattr(short, field).shape[1] == 0 for field in ARRAYS[1:])
 
     def test_defaults_can_be_given_as_a_schedule_and_by_recording(self, name, filter_name):
@@ -299,12 +301,19 @@ class TestPlainAndBound:
         navgym.estimate(problem.plain[0], blind)
 
     @every
-    def test_a_filter_of_ones_own_runs_beside_those_of_the_catalogue(self, problem):
+    def test_a_filter_of_ones_own_runs_with_its_own_space(self, problem):
         chosen = problem.find(problem.study.filter)
-        own = dataclasses.replace(chosen, name="mine")
+        name = problem.environment.steered[0]
+        first = dataclasses.replace(chosen.space[name], default=chosen.space[name].high)
+        space = ParameterSpace(tuple(first if p.name == name else p for p in chosen.space))
+        own = dataclasses.replace(chosen, name="mine", space=space)
+        assert problem.find(own) is own
         batch = problem.stack(usual(problem))
-        states = [problem.run(f, batch).states for f in (own, chosen.name)]
-        np.testing.assert_array_equal(*states)
+        found = problem.run(own, batch).states
+        np.testing.assert_array_equal(
+            found, problem.run(chosen.name, batch, {name: first.default}).states
+        )
+        assert not np.array_equal(found, problem.run(chosen.name, batch).states)
 
 
 # ---- judging

@@ -8,8 +8,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from navgym.tuning.cases import Cases
-from navgym.tuning.objectives import checked_measure, plain_quantities
 from scipy import stats
 from tqdm import tqdm
 
@@ -17,6 +15,8 @@ from navgym.core.checks import Array, one_of
 from navgym.metrics import PairedDifference, paired_difference, score
 from navgym.metrics.measures import Judged, Measure
 from navgym.problem import Problem
+from navgym.tuning.cases import Cases
+from navgym.tuning.objectives import checked_measure, plain_quantities
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
@@ -80,7 +80,7 @@ class Row:
 
     @property
     def diverges(self) -> bool:
-        """Whether its mean says nothing: one run in a hundred is enough to carry it away."""
+        """Whether its mean says nothing, as where more than one run in a hundred is lost."""
         return self.divergence_rate > 0.01 or not math.isfinite(self.mean)
 
 

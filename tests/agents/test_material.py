@@ -10,7 +10,6 @@ pytest.importorskip("tomli_w")
 from navgym.agents.training.material import material, recording
 from navgym.agents.training.randomisation import drawn
 from navgym.agents.training.validation import Validation
-
 from navgym.auv.conditions import AUVRanges
 from navgym.core.seeds import seeds
 from navgym.deck.conditions import DeckRanges
@@ -75,6 +74,41 @@ class TestRandomisation:
         assert found.dwell[0] <= found.dwell[1]
         calm = next(r for r in found.regimes if r.name == "calm")
         assert calm == scenario.regimes[0]
+
+    def test_sizes_of_glitches_are_drawn_together_and_in_their_range(self):
+        scenario, ranges = find_scenario("deck/switch-60"), DeckRanges(chance=1.0, gyro_only=0.0)
+        before = next(r for r in scenario.regimes if r.name == "glitch")
+        factors = []
+        for seed in range(60):
+            after = next(r for r in drawn(scenario, ranges, seed).regimes if r.name == "glitch")
+            factors.append(after.glitch_velocity / before.glitch_velocity)
+            assert after.glitch_rate_size / before.glitch_rate_size == pytest.approx(factors[-1])
+        low, high = ranges.glitch_size
+        assert low <= min(factors) < max(factors) <= high
+        middle = np.sqrt(low * high)  # uniform in the logarithm
+        assert 0.25 < np.mean(np.array(factors) < middle) < 0.75
+
+    @pytest.mark.parametrize(
+        ("kind", "fields"),
+        [
+            (DeckRanges, {"chance": 1.1}), (DeckRanges, {"gyro_only": -0.1}),
+            (DeckRanges, {"glitch_rate": (0.1, 1.1)}), (DeckRanges, {"glitch_rate": (0.0, 0.1)}),
+            (DeckRanges, {"dwell": (0.0, 1.0)}), (DeckRanges, {"slam_rate": (2.0, 1.0)}),
+            (AUVRanges, {"chance": -0.1}), (AUVRanges, {"chance": 1.1}),
+            (AUVRanges, {"loss": (0.0, 1.1)}), (AUVRanges, {"loss": (-0.1, 1.0)}),
+            (AUVRanges, {"dwell": (0.9, 2.0)}), (AUVRanges, {"outlier_scale": (0.0, 1.0)}),
+        ],
+        ids=str,
+    )  # fmt: skip
+    def test_impossible_ranges_are_refused_by_name(self, kind, fields):
+        with pytest.raises(ValueError, match=next(iter(fields))):
+            kind(**fields)
+
+    def test_the_ends_of_ranges_belong_to_them(self):
+        DeckRanges(chance=0.0, gyro_only=0.0, glitch_rate=(1.0, 1.0), dwell=(1e-3, 1e-3))
+        DeckRanges(chance=1.0, gyro_only=1.0)
+        AUVRanges(chance=0.0, loss=(0.0, 1.0), dwell=(1.0, 1.0), outlier_scale=(1e-3, 1e-3))
+        AUVRanges(chance=1.0, loss=(1.0, 1.0))
 
     def test_ranges_of_the_other_kind_are_refused(self):
         with pytest.raises(TypeError, match="DeckRanges are no conditions of switch-D"):

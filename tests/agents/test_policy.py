@@ -9,11 +9,11 @@ import sys
 import gymnasium
 import numpy as np
 import pytest
-from navgym.agents.policies.manifest import Manifest
-from navgym.agents.policies.policy import Normalisation, Policy
 
 import navgym
 from navgym import agents
+from navgym.agents.policies.manifest import Manifest
+from navgym.agents.policies.policy import Normalisation, Policy
 from navgym.auv.engine import Engine
 from navgym.auv.settings import AUVDropoutSettings
 from navgym.envs.base import INFORMATION
@@ -240,6 +240,23 @@ class TestFiles:
         with pytest.raises(ValueError, match=message):
             Policy.load(saved)
 
+    @pytest.mark.parametrize("name", ["scenario", "action_parameters"])
+    def test_a_manifest_without_a_setting_that_matters_is_refused(self, saved, name):
+        path = saved.with_suffix(".json")
+        facts = json.loads(path.read_text())
+        del facts["settings"][name]
+        path.write_text(json.dumps(facts))
+        with pytest.raises(ValueError, match=f"settings lack '{name}'"):
+            Policy.load(saved)
+
+    def test_a_policy_that_sets_what_the_filter_lacks_is_refused(self, saved):
+        path = saved.with_suffix(".json")
+        facts = json.loads(path.read_text())
+        facts["settings"]["action_parameters"][0] = "forgeting"
+        path.write_text(json.dumps(facts))
+        with pytest.raises(ValueError, match="Did you mean 'forgetting'"):
+            Policy.load(saved)
+
     def test_a_manifest_that_lacks_something_is_refused(self, saved):
         path = saved.with_suffix(".json")
         facts = json.loads(path.read_text())
@@ -294,6 +311,9 @@ class TestWhatCannotBe:
             self.rebuilt(normalisation=dataclasses.replace(own, variance=-own.variance))
         with pytest.raises(ValueError, match="clip must be positive"):
             self.rebuilt(normalisation=dataclasses.replace(own, clip=0.0))
+        for name in ("mean", "variance"):  # one number would be spread over all observations
+            with pytest.raises(ValueError, match=f"{name} must have shape"):
+                self.rebuilt(normalisation=dataclasses.replace(own, **{name: np.ones(1)}))
 
     def test_an_unknown_activation(self):
         with pytest.raises(ValueError, match=r"unknown activation 'tan'\. Did you mean 'tanh'"):

@@ -250,6 +250,29 @@ def test_a_model_of_other_states_writes_and_reads_generic_names(tmp_path):
     assert same(recording, read(path, model=model))
 
 
+@pytest.mark.parametrize(
+    ("rows", "names"), [([0, 1, 2, 3], "px,vx,py,vy"), ([2, 0], "py,px"), ([3], "vy")]
+)
+def test_measured_states_bear_their_own_names(tmp_path, rows, names):
+    model = navgym.LinearModel(H=np.eye(4)[rows])
+    recording = navgym.Recording([1.0, 2.0], np.ones((2, len(rows))), model=model)
+    assert write_csv(recording, tmp_path / "log.csv").read_text().splitlines()[0] == f"time,{names}"
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        navgym.LinearModel(F=np.eye(4), H=np.eye(4)[:1], position=(0, 1), velocity=(2, 3)),
+        navgym.LinearModel(F=np.eye(4), H=np.eye(4)[:1], position=(0, 2), velocity=()),
+    ],
+    ids=["positions first", "no velocities"],
+)
+def test_four_states_in_another_order_are_not_called_positions_and_velocities(tmp_path, model):
+    recording = navgym.Recording([1.0, 2.0], [[1.0], [2.0]], truth=np.ones((2, 4)), model=model)
+    path = write_csv(recording, tmp_path / "log.csv")
+    assert path.read_text().splitlines()[0] == "time,z1,truth_x1,truth_x2,truth_x3,truth_x4"
+
+
 def test_a_failed_write_leaves_the_old_file_and_no_debris(tmp_path, monkeypatch):
     recording = navgym.simulate("auv/nominal", steps=3)
     path = write_csv(recording, tmp_path / "log.csv")

@@ -72,6 +72,17 @@ BAD = [
 ]
 
 
+def test_the_ends_of_every_range_belong_to_it():
+    Loss(0.0), Loss(1.0), Loss(0.5, length=1.0), Loss(outages=0), Loss(outages=1, outage_length=1)
+    Regime("x", outlier_rate=0.0), Regime("x", outlier_rate=1.0)
+    Turns(rate=(0.0, 0.0), dwell=(1e-3, 1e-3))
+    AUVScenario("x", "", steps=1, dt=1e-3, dwell=(1, 1))
+    for name in ("measurement_scale", "process_scale", "outlier_scale"):
+        assert getattr(Regime("x", **{name: 1e-9}), name) == 1e-9
+    for name in ("measurement_scale", "process_scale", "outlier_scale", "manoeuvre_scale"):
+        assert getattr(AUVScenario("x", "", **{name: 1e-9}), name) == 1e-9
+
+
 @pytest.mark.parametrize(("make", "field", "value"), BAD)
 def test_bad_fields_are_refused_by_name_and_value(make, field, value):
     with pytest.raises(ValueError, match=re.escape(field)) as caught:

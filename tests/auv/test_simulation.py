@@ -9,6 +9,7 @@ import pytest
 import navgym
 from navgym.auv.scenarios import CATALOGUE, AUVScenario, Loss, Regime, Turns
 from navgym.auv.simulation import draw_losses
+from navgym.core.regimes import sequence
 from navgym.simulation import find_scenario, simulate_many
 
 LINEAR = [name for name, s in CATALOGUE.items() if s.measured != "beacon"]
@@ -150,6 +151,15 @@ def test_regimes_dwell_in_range_and_never_follow_themselves():
     shares = followers / followers.sum(1, keepdims=True)
     assert np.abs(shares[~np.eye(3, dtype=bool)] - 0.5).max() < 0.05
     assert len({r.regime[0] for r in recordings}) == 3
+
+
+def test_every_first_stay_is_whole_and_its_regime_drawn_evenly():
+    firsts = []
+    for seed in range(600):
+        labels = sequence(3, (2, 2), 6, np.random.default_rng(seed))
+        assert (labels[::2] == labels[1::2]).all()
+        firsts.append(labels[0])
+    assert np.abs(np.bincount(firsts) / 600 - 1 / 3).max() < 4.5 * np.sqrt(2 / 9 / 600)
 
 
 def test_scales_are_those_of_the_regimes():

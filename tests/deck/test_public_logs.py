@@ -128,6 +128,15 @@ def test_held_samples_count_once(tmp_path):
     assert np.sqrt((difference**2).mean()) < 0.01  # rad/s; with the hold's delay of 9 ms it is .05
 
 
+def test_a_sensor_at_rest_is_not_lost(tmp_path):
+    """Cells that never change are one sample, which holds as long as rows keep coming."""
+    for n in (1, 2):
+        write_segment(tmp_path, n, TIME, hold=len(TIME))
+    recording = read(tmp_path)
+    assert not recording.gaps.any()
+    assert np.ptp(np.array(recording.main_angle[1:]), axis=0).max() < 1e-15
+
+
 def test_rows_missing_for_long_are_gaps(tmp_path):
     kept = TIME[(TIME < 3.0) | (TIME > 3.2)]
     write_segment(tmp_path, 1, kept)
@@ -146,6 +155,15 @@ def test_a_file_names_its_trial_and_a_clone_its_folder(pendulum):
     for file in pendulum.glob("*.csv"):
         file.rename(pendulum / "Pendulum" / file.name)
     assert len(read(pendulum)) == len(direct)
+
+
+@pytest.mark.parametrize("rate", [50.0, 100.0])
+def test_the_grid_fills_the_time_that_both_segments_share(pendulum, rate):
+    """Segment 2 begins 2 ms later and ends 2 ms later; an interval ends at each sample."""
+    recording = read(pendulum, rate=rate)
+    start, end = TIME[0] + 0.002, TIME[-1]
+    wanted = start + np.arange(1, int((end - start) * rate) + 1) / rate
+    np.testing.assert_allclose(recording.time, wanted, atol=1e-9)
 
 
 def test_options_reach_the_recording(pendulum):

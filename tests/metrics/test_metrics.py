@@ -73,6 +73,11 @@ def test_score_runs_from_nominal_to_oracle():
     assert math.isnan(metrics.score(0.7, 0.7, 0.7))
 
 
+def test_scores_are_shares_whatever_the_unit_of_the_errors():
+    assert metrics.score([9.0, 8.0, 5.0], 9.0, 5.0).tolist() == [0.0, 0.25, 1.0]
+    assert metrics.score([0.9, 0.8, 0.5], 0.9, 0.5) == pytest.approx([0.0, 0.25, 1.0])
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -143,6 +148,8 @@ def test_nees_of_known_numbers():
     assert metrics.nees(states, np.diag([4.0, 9.0])[None], truth).tolist() == [2.0]
     assert metrics.nees(states, np.diag([4.0, 9.0])[None], truth, indices=[1]).tolist() == [1.0]
     assert np.isnan(metrics.nees(states * np.nan, np.eye(2)[None], truth)).all()
+    assert np.isnan(metrics.nees(states, np.eye(2)[None], truth * np.nan)).all()
+    assert np.isnan(metrics.nees(states, np.eye(2)[None] * np.nan, truth)).all()
 
 
 @pytest.fixture(scope="module")
@@ -303,6 +310,17 @@ def test_the_same_seed_gives_the_same_answer_and_sides_mirror():
     )
 
 
+@pytest.mark.parametrize(("confidence", "low"), [(0.95, 0.0), (0.9, 0.0), (0.85, 1.0), (0.5, 1.0)])
+def test_an_interval_without_acceleration_leaves_out_the_tails_of_the_resamples(confidence, low):
+    """Whichever pair is left out, b keeps an error and the gain is 1: BCa divides 0 by 0.
+
+    A resample of 4 has no error at all, and so no gain, with probability (1/2)⁴: more than the
+    lower tail holds at 0.9 and above, less at 0.85.
+    """
+    found = metrics.paired_difference(np.zeros(4), [0.0, 0.0, 1.0, 1.0], confidence=confidence)
+    assert (found.relative_gain, found.gain_low, found.gain_high) == (1.0, low, 1.0)
+
+
 @pytest.mark.parametrize(("shift", "factor"), [(0.0, 1.0), (-1.0, 1.0), (0.0, 0.9)])
 def test_differences_without_spread_give_points_and_no_warning(shift, factor):
     b = np.random.default_rng(0).gamma(9, size=40)
@@ -316,6 +334,12 @@ def test_differences_without_spread_give_points_and_no_warning(shift, factor):
     else:
         assert (found.gain_low, found.gain_high) == pytest.approx((0.1, 0.1), abs=1e-12)
     assert (found.p_value == 1.0) == (shift == 0.0 and factor == 1.0)
+
+
+def test_a_gain_over_no_error_at_all_has_no_scale():
+    found = metrics.paired_difference([1.0, 2.0], [0.0, 0.0])
+    assert found.mean_difference == 1.5
+    assert np.isnan([found.relative_gain, found.gain_low, found.gain_high]).all()
 
 
 def test_failed_runs_leave_the_median_and_the_rates():
@@ -346,6 +370,10 @@ def test_intervals_cover_the_truth_as_often_as_they_claim():
     assert 0.89 <= covered["difference"] / 200 <= 0.99
     assert 0.89 <= covered["gain"] / 200 <= 0.99
     assert rejected / 200 <= 0.05 + 3 * math.sqrt(0.05 * 0.95 / 200)
+
+
+def test_holm_takes_certainty_and_its_opposite():
+    assert metrics.holm([0.0, 1.0, 0.0]).tolist() == [0.0, 1.0, 0.0]
 
 
 def test_holm_of_a_worked_example():

@@ -333,3 +333,25 @@ def test_turn_model_wants_one_time_axis():
 def test_unmodelled_turns_do_not_go_with_a_model_that_turns():
     with pytest.raises(ValueError, match="turns="):
         navgym.simulate("auv/turn", 0, measured="beacon")
+
+
+def test_the_default_turn_is_the_one_that_is_documented():
+    model = navgym.CoordinatedTurnModel()
+    np.testing.assert_allclose(np.sqrt(np.diag(model.R)), [1.0, np.radians(1), 0.1, np.radians(2)])
+    np.testing.assert_allclose(np.sqrt(np.diag(model.P0)), [1.0, 0.2, 1.0, 0.2, np.radians(1)])
+    for matrix in (model.R, model.P0):
+        assert not (matrix - np.diag(np.diag(matrix))).any()
+    np.testing.assert_allclose(model.x0, [175.0, 0.0, 0.0, 1.5, np.radians(1.5)])
+    assert model.x0[3] / model.x0[4] == pytest.approx(60.0, abs=5.0)  # m, radius of the turn
+
+
+@pytest.mark.parametrize("dt", [0.3, 1.0, 2.0])
+def test_its_process_noise_is_white_acceleration_and_a_wandering_turn_rate(dt):
+    """Two steps add what one of twice the length does; the rates wander as a Wiener process."""
+    one, two = (navgym.CoordinatedTurnModel(dt=t).Q for t in (dt, 2.0 * dt))
+    F = np.eye(5)
+    F[0, 1] = F[2, 3] = dt
+    np.testing.assert_allclose(F @ one @ F.T + one, two, rtol=1e-12, atol=1e-18)
+    wander = [0.02**2, 0.02**2, np.radians(0.05) ** 2]
+    np.testing.assert_allclose(np.diag(one)[[1, 3, 4]], np.array(wander) * dt)
+    np.testing.assert_allclose(np.diag(one)[[0, 2]], 0.02**2 * dt**3 / 3.0)

@@ -75,6 +75,8 @@ def test_arrays_are_copied_and_read_only():
 
 def test_the_default_model_has_the_time_step_of_the_recording():
     assert Recording(0.5 * T, Y).model.F[0, 1] == 0.5
+    assert Recording([0.0, 0.5], Y[:2]).model.F[0, 1] == 0.5
+    assert Recording([7.0], Y[:1]).model.F[0, 1] == 1.0  # no step is known: that of the paper
     uneven = Recording([0.0, 1.0, 3.0], Y[:3]).model.F
     np.testing.assert_array_equal(uneven[:, 0, 1], [1.0, 1.0, 2.0])
 
@@ -202,6 +204,8 @@ DAMAGE = {
     "strange header": lambda p: changed(p, header=np.array("hello")),
     "header list": lambda p: changed(p, header=np.array("[1]")),
     "header without meta": lambda p: changed(p, header=header(navgym=FORMAT)),
+    "no header": lambda p: changed(p, header=None),
+    "no time": lambda p: changed(p, time=None),
     "no measurements": lambda p: changed(p, measurements=None),
     "no model": lambda p: changed(p, **{"model.kind": None}),
     "strange model": lambda p: changed(p, **{"model.kind": np.array("cubic")}),

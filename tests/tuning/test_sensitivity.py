@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+
+from navgym.core.parameters import Parameter, ParameterSpace
 from navgym.tuning.objectives import Evaluation
 from navgym.tuning.study.racing import evaluate
 from navgym.tuning.study.run import search
-from navgym.tuning.study.sensitivity import importances, sweeps
-
-from navgym.core.parameters import Parameter, ParameterSpace
+from navgym.tuning.study.sensitivity import Sweep, importances, sweeps
 
 SPACE = ParameterSpace(
     (
@@ -69,6 +69,20 @@ def test_the_flat_stretch_is_where_nothing_changes(found):
 def test_a_winner_at_the_end_of_its_range_is_told():
     at_end = sweeps(Known(), {"steep": 100.0, "dead": 1.0, "half": 30.0, "kind": "on"}, run)
     assert [s.parameter.name for s in at_end if s.at_edge] == ["steep"]
+
+
+@pytest.mark.parametrize(
+    ("share", "at_edge"),
+    [(0.0, True), (0.019, True), (0.021, False), (0.979, False), (0.981, True), (1.0, True)],
+)
+@pytest.mark.parametrize("name", ["steep", "dead"])  # on a logarithmic and on a linear scale
+def test_a_fiftieth_of_the_range_on_its_own_scale_is_its_end(name, share, at_edge):
+    p = SPACE[name]
+    start, whole = p.warp(p.low), p.warp(p.high) - p.warp(p.low)
+    chosen, values = p.unwarp(start + share * whole), np.array([p.low, p.high])
+    assert Sweep(p, chosen, values, np.array([0.0, 0.5]), values, values).at_edge is at_edge
+    without_effect = Sweep(p, chosen, values, np.zeros(2), values, values)
+    assert not without_effect.at_edge
 
 
 def test_importances_rank_the_steep_parameter_first_and_sum_to_one():

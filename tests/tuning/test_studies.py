@@ -9,6 +9,10 @@ import sys
 
 import numpy as np
 import pytest
+
+import navgym
+from navgym.auv.problem import PROBLEM, TRACKS
+from navgym.core.seeds import SPLITS, split_of
 from navgym.tuning.cases import Cases
 from navgym.tuning.comparison import Entry, compare
 from navgym.tuning.experiments import cross_tuned, per_track, real_cases
@@ -20,10 +24,6 @@ from navgym.tuning.schedule import RegimeTable
 from navgym.tuning.study.run import search
 from navgym.tuning.study.search_space import from_optuna, to_optuna
 from navgym.tuning.study.selection import confirm, rounded
-
-import navgym
-from navgym.auv.problem import PROBLEM, TRACKS
-from navgym.core.seeds import SPLITS, split_of
 
 FREE = ("forgetting", "process_noise_scale", "fill", "vb_iterations")
 
@@ -124,8 +124,12 @@ def test_a_geometric_mean_weighs_ratios_alike(cases):
     values = {"process_noise_scale": 3.0}
     value = one(values)
     assert GeometricMean([one, one], [value / 2, value * 2])(values) == pytest.approx(1.0)
+    three = GeometricMean([one] * 3, [value / 2, value / 2, value])
+    assert three(values) == pytest.approx(2.0 ** (2 / 3))  # two of three are twice their reference
     with pytest.raises(ValueError, match="as many"):
         GeometricMean([one], [1.0, 2.0])
+    with pytest.raises(ValueError, match="share one space"):
+        GeometricMean([one, Objective("qivbf", ["forgetting"], one.cases)], [1.0, 1.0])
 
 
 def test_a_guard_prices_runs_that_fail():

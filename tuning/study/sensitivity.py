@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import optuna
-from navgym.tuning.objectives import InstanceGoal
-from navgym.tuning.study.run import Outcome
-from navgym.tuning.study.search_space import distribution, distributions, to_optuna
 
 from navgym.core.checks import Array
 from navgym.core.parameters import Parameter, ParameterSpace
 from navgym.metrics.measures import METRICS
+from navgym.tuning.objectives import InstanceGoal
+from navgym.tuning.study.run import Outcome
+from navgym.tuning.study.search_space import distribution, distributions, to_optuna
 
 POINTS = 13  # of a sweep
 FLAT = 0.01  # losses that differ by less than this share are alike
@@ -69,7 +69,7 @@ class Sweep:
 
     @property
     def at_edge(self) -> bool:
-        """Whether the winner sits at an end of the range, and the metric still falls towards it."""
+        """Whether the winner sits in an outer fiftieth of the range of a knob that matters."""
         p = self.parameter
         place = (p.warp(self.chosen) - p.warp(p.low)) / (p.warp(p.high) - p.warp(p.low))
         return not self.dead and not p.choices and not 0.02 < place < 0.98

@@ -1,16 +1,15 @@
-"""What runs are judged by: closed forms, bounds on divergence, limits, parts of a whole."""
+"""Studies' goals on recordings: closed forms, limits, parts of a whole, pools, cost."""
 
 import pickle
 
 import numpy as np
 import pytest
-from navgym.tuning.cases import Cases
-from navgym.tuning.objectives import Costed, Objective, Pooled, find_measure, narrowed
 from scipy import stats
 
 import navgym
-from navgym.metrics.measures import BLIND, Judged, bounded, innovation_quantities
 from navgym.problem import PROBLEMS
+from navgym.tuning.cases import Cases
+from navgym.tuning.objectives import Costed, Objective, Pooled, find_measure, narrowed
 
 BRIEF = {"duration": 90.0}
 
@@ -66,25 +65,6 @@ def test_the_likelihood_needs_no_truth(cases):
     with_truth = Objective("qivbf", ["forgetting"], cases, measure="likelihood")
     without = Objective("qivbf", ["forgetting"], Cases.of(blind), measure="likelihood")
     assert with_truth({"forgetting": 0.9}) == without({"forgetting": 0.9})
-
-
-def test_nothing_received_is_no_number():
-    found = innovation_quantities([[np.nan, np.nan]], [[np.nan, np.nan]], [[0, 0]])
-    assert np.isnan(found["nll"]).all()
-    assert np.isnan(found["nis"]).all()
-
-
-@pytest.mark.parametrize("bad", [np.inf, np.nan, 1e6])
-@pytest.mark.parametrize(("name", "ceiling"), [("rmse", 20.0), ("nll", 12.0)])
-def test_a_failed_run_counts_as_its_ceiling_and_leaves_the_others(bad, name, ceiling):
-    found = Judged({name: np.array([1.0, bad, 3.0])}, np.array([False, False, False]), 0.0)
-    known = {**PROBLEMS["auv"].scoring.quantities, **BLIND}
-    kept = bounded(found, {name: np.full(3, 2.0)}, known)[name]
-    np.testing.assert_array_equal(kept, [1.0, ceiling, 3.0])
-    flagged = Judged({name: np.array([1.0, 2.0, 3.0])}, np.array([False, True, False]), 0.0)
-    np.testing.assert_array_equal(
-        bounded(flagged, {name: np.full(3, 2.0)}, known)[name], [1.0, ceiling, 3.0]
-    )
 
 
 @pytest.mark.parametrize("measure", PROBLEMS["auv"].scoring.measures)
@@ -178,6 +158,11 @@ def test_a_narrowed_range_stays_inside():
     for ends in ((10.0, 1.0), (5.0, 5.0), (0.01, 10.0)):
         with pytest.raises(ValueError, match="range of process_noise_scale must be low < high"):
             narrowed(p, *ends)
+
+
+def test_a_parameter_is_free_once(cases):
+    with pytest.raises(ValueError, match="each parameter once, got 'forgetting' twice"):
+        Objective("qivbf", ["forgetting", "vb_iterations", "forgetting"], cases)
 
 
 def test_a_measure_of_another_problem_is_unknown():
