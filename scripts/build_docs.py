@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
-from navgym.agents.training.configuration import markdown as configuration_table
 
+from navgym.agents.training.configuration import markdown as configuration_table
 from navgym.problem import Filter, Problem, environments, problems
 from navgym.simulation import find_scenario
 
@@ -36,14 +36,14 @@ def filters_page() -> str:
         "the numbers below are what `navgym.parameter_space(name)` holds.\n",
     ]
     for problem in problems():
-        parts.append(f"# {problem.title}: filters of a `{problem.recording.__name__}`\n")
+        parts.append(f"## {problem.title}: filters of a `{problem.recording.__name__}`\n")
         parts += [_filter_part(f) for f in problem.filters.values()]
     return "\n".join(parts)
 
 
 def _filter_part(chosen: Filter) -> str:
     table = chosen.space.markdown() if len(chosen.space) else "Nothing to tune."
-    return f"## `{chosen.name}`\n\n{chosen.summary}\n\n{table}\n"
+    return f"### `{chosen.name}`\n\n{chosen.summary}\n\n{table}\n"
 
 
 def scenarios_page() -> str:
@@ -118,7 +118,7 @@ def training_page() -> str:
     """Every field of a training's configuration."""
     return (
         NOTE + "# Fields of a training\n\n"
-        "`python scripts/train.py --help` shows the same as flags (`decisions` is `--decisions`, "
+        "`navgym train --help` shows the same as flags (`decisions` is `--decisions`, "
         "`recipe.gamma` is `--recipe.gamma`); `config.toml` beside each policy holds them, and can be "
         f"given to the command again.\n\n{configuration_table()}\n"
     )

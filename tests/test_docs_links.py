@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 MADE = ("build", "dist", "runs", "site")  # folders that commands write
 WRITTEN = {".md", ".py", ".toml", ".cff", ".txt", ".ipynb"}
 LINK = re.compile(r"\]\((?![a-z]+:)([^)\s]+)\)")
