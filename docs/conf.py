@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Any
 
 import navgym
@@ -65,6 +66,17 @@ def _docstring(
     ]
 
 
+def _signature(
+    _app: Sphinx, what: str, _name: str, _thing: Any, _options: Any, given: Any, returned: Any
+) -> tuple[str, str] | None:
+    """Make a signature what Sphinx can parse; a protocol's says nothing."""
+    if what == "class" and given == "(*args, **kwargs)":
+        return "", ""
+    plain = re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", given or "")
+    return (plain.replace("<factory>", "..."), returned) if given else None
+
+
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
+    app.connect("autodoc-process-signature", _signature)
     app.connect("autodoc-process-docstring", _docstring)

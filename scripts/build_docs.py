@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import inspect
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from typing import Any
 import gymnasium
 
 from navgym.agents.training.configuration import markdown as configuration_table
+from navgym.envs.settings import LaneSettings, argument_texts, signature
 from navgym.problem import Filter, Problem, environments, problems
 from navgym.simulation import find_scenario
 
@@ -23,9 +25,21 @@ NOTE = "<!-- Written by scripts/build_docs.py: edit the code, not this page. -->
 
 
 def environment_page(name: str) -> str:
-    """The manual of an environment: its class docstring."""
-    manual = inspect.getdoc(type(gymnasium.make(name).unwrapped)) or ""
-    return f"{NOTE}# {name}\n\n{manual}\n"
+    """The manual of an environment: its class docstring, arguments as a table."""
+    made: Any = gymnasium.make(name).unwrapped
+    manual = inspect.getdoc(type(made)) or ""
+    head, _, rest = manual.partition("Args:\n")
+    tail = re.sub(r"\A(?: .*\n|\n)*", "\n", rest)
+    table = "\n".join(_table(["argument", "default", "meaning"], _arguments(made.SETTINGS)))
+    return f"{NOTE}# {name}\n\n{head}\n{table}\n{tail}\n"
+
+
+def _arguments(kind: type[LaneSettings]) -> list[list[str]]:
+    """Every argument of an environment: its default, and what it is for."""
+    defaults = {name: p.default for name, p in signature(kind).parameters.items()}
+    return [
+        [f"`{name}`", f"`{defaults[name]!r}`", text] for name, text in argument_texts(kind).items()
+    ]
 
 
 def filters_page() -> str:
