@@ -135,7 +135,7 @@ def estimate(
         parameters: a dict of tunables (missing ones at their defaults); its values may be lists
             with one number per decision interval, or the whole may be an array (intervals,
             parameters) in the order of `navgym.parameter_space`: a schedule. Its last row holds
-            to the end. A path reads them from a file that tune.py wrote (`navgym.tuned`).
+            to the end. A path reads them from a file that `navgym tune` wrote (`navgym.tuned`).
         decision_interval: samples per row of a schedule: 5 by default, on decks the filter steps
             that make up 1 s.
 

@@ -43,7 +43,9 @@ def read_tuned(path: str | os.PathLike[str]) -> Tuned:
     try:
         content = tomllib.loads(source.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} is not TOML ({error}): write it anew with tune.py.") from error
+        raise ValueError(
+            f"{path} is not TOML ({error}): write it anew with navgym tune."
+        ) from error
     missing = [name for name in ("filter", "parameters") if name not in content]
     if missing or not isinstance(content.get("parameters"), dict):
         raise ValueError(

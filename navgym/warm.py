@@ -1,4 +1,4 @@
-"""Compile every kernel for the usual model sizes: `python -m navgym.warm`.
+"""Compile the kernels for the usual model sizes: `navgym warm`.
 
 Compiled code is cached on disk, so a second run takes a few seconds. Other model sizes compile when
 they are first used, which takes some seconds per filter.
@@ -6,19 +6,31 @@ they are first used, which takes some seconds per filter.
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 import time
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Any
 
 import navgym
-from navgym.problem import PROBLEMS, Problem, problem_of, problems
+from navgym.core.checks import one_of
+from navgym.problem import PROBLEMS, Problem, problem_of
+
+ABOUT = """Compile kernels now, instead of at first use.
+
+    navgym warm           those of every problem, two minutes or so on two cores
+    navgym warm auv       those of one problem: {problems}
+
+Only for the usual sizes of models: others compile when they are first used, some seconds per filter.
+Compiled code is cached on disk, so a second run takes a few seconds.
+"""
 
 
-def jobs() -> list[tuple[str, int]]:
+def jobs(names: Iterable[str]) -> list[tuple[str, int]]:
     """Problems and numbers of their jobs, the first of every problem first: they take longest."""
-    each = [(p.name, i) for p in problems() for i in range(len(p.kernels()))]
+    each = [(name, i) for name in names for i in range(len(PROBLEMS[name].kernels()))]
     return sorted(each, key=lambda job: job[1])
 
 
@@ -61,10 +73,24 @@ def brief(problem: Problem, scenario: str, **overrides: Any) -> Any:
     return navgym.simulate(scenario, **(dict(problem.brief) | overrides))
 
 
-def main() -> None:
-    """Compile what is not yet compiled, showing how far it is."""
+def parse(words: Sequence[str]) -> tuple[str, ...]:
+    """Names of the problems to compile for. By argparse: a plain navgym has no tyro."""
+    parser = argparse.ArgumentParser(
+        prog="navgym warm", description=ABOUT.format(problems=" or ".join(PROBLEMS)),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    parser.add_argument("problem", nargs="*", help="of those above (default: every one)")
+    named = parser.parse_args(list(words)).problem
+    return tuple(dict.fromkeys(one_of("problem", name, PROBLEMS) for name in named)) or tuple(
+        PROBLEMS
+    )
+
+
+def main(words: Sequence[str] = ()) -> int:
+    """Compile what is not yet compiled, showing how far it is; returns the exit status."""
     began = time.perf_counter()
-    todo = jobs()
+    names = parse(words)
+    todo = jobs(names)
     with ProcessPoolExecutor(min(len(todo), os.cpu_count() or 1)) as pool:
         running = [pool.submit(compile_one, *job) for job in todo]
         for done, job in enumerate(as_completed(running), start=1):
@@ -74,8 +100,12 @@ def main() -> None:
             job.result()
     if sys.stderr.isatty():
         sys.stderr.write("\r\x1b[K")
-    print(f"navgym {navgym.__version__}: kernels ready after {time.perf_counter() - began:.1f} s")
+    spent = time.perf_counter() - began
+    print(f"navgym {navgym.__version__}: kernels of {', '.join(names)} ready after {spent:.1f} s")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    from navgym.command import main as command
+
+    sys.exit(command(["warm", *sys.argv[1:]]))

@@ -1,10 +1,10 @@
-"""Is a policy better than the simpler ways of choosing parameters, and where? See --help."""
+"""`navgym evaluate` from a clone: see --help."""
 
 from __future__ import annotations
 
 import sys
 
-from navgym.agents.evaluation.command import main
+from navgym.command import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(["evaluate", *sys.argv[1:]]))

@@ -1,10 +1,10 @@
-"""Train a policy that sets a filter's parameters while it runs: see --help."""
+"""`navgym train` from a clone: see --help."""
 
 from __future__ import annotations
 
 import sys
 
-from navgym.agents.training.command import main
+from navgym.command import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(["train", *sys.argv[1:]]))

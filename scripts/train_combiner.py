@@ -1,10 +1,10 @@
-"""Train the combiner, a network that weighs the modes of the frozen bank: see --help."""
+"""`navgym combine` from a clone: see --help."""
 
 from __future__ import annotations
 
 import sys
 
-from navgym.agents.combiner.command import main
+from navgym.command import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(["combine", *sys.argv[1:]]))

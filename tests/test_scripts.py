@@ -1,37 +1,25 @@
-"""The scripts as a user runs them."""
+"""The demo, the reproduction and the maintainers' scripts as a user runs them."""
 
 import json
 import re
 import signal
-import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
 from navgym.core.seeds import split_of
+from tests.commands import ROOT, ended, run, start, started
 
-ROOT = Path(__file__).resolve().parents[1]
-SCRIPTS = sorted(p.name for p in (ROOT / "scripts").glob("*.py"))
-
-
-def start(*arguments):
-    return subprocess.Popen(
-        [sys.executable, *map(str, arguments)], cwd=ROOT, text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    )  # fmt: skip
+# what is no command of navgym, because it is for those who work on it
+OWN = sorted(
+    p.name for p in (ROOT / "scripts").glob("*.py") if "navgym.command" not in p.read_text()
+)
 
 
-def run(*arguments):
-    process = start(*arguments)
-    out, err = process.communicate()
-    return process.returncode, out, err
-
-
-@pytest.mark.parametrize("name", SCRIPTS)
+@pytest.mark.parametrize("name", OWN)
 def test_help_teaches(name):
-    code, out, _ = run(f"scripts/{name}", "--help")
+    code, out, _ = ended(started([sys.executable, f"scripts/{name}", "--help"]))
     assert code == 0
     assert f"python scripts/{name}" in out  # shows how it is called
     assert len(out.splitlines()) > 7
@@ -44,7 +32,7 @@ def test_help_teaches(name):
 def demo(tmp_path_factory):
     """A quick demo: its output, page and results."""
     out = tmp_path_factory.mktemp("demo")
-    code, text, err = run("scripts/demo.py", "--quick", "--trials", 16, "--runs", 30, "--out", out)
+    code, text, err = run("demo", "--quick", "--trials", 16, "--runs", 30, "--out", out)
     assert code == 0, err
     return (
         out,
@@ -98,14 +86,14 @@ def test_nothing_is_reported_on_what_was_tuned_on(demo):
 def test_results_say_what_they_rest_on(demo):
     *_, results = demo
     basis = results["provenance"]
-    assert basis["command"].startswith("python scripts/demo.py --quick")
+    assert basis["command"].startswith("navgym demo --quick")
     assert {"navgym", "python", "numpy", "optuna"} <= set(basis["versions"])
     assert basis["seeds"]["all figures"] == "test"
 
 
 def test_the_same_command_again_finds_the_study_done_and_the_same_numbers(demo):
     out, _, _, results = demo
-    code, _, err = run("scripts/demo.py", "--quick", "--trials", 16, "--runs", 30, "--out", out)
+    code, _, err = run("demo", "--quick", "--trials", 16, "--runs", 30, "--out", out)
     assert code == 0, err
     again = json.loads((out / "results.json").read_text())
     for run_ in (again, results):
@@ -114,7 +102,7 @@ def test_the_same_command_again_finds_the_study_done_and_the_same_numbers(demo):
 
 
 def test_ctrl_c_ends_with_what_was_found(tmp_path):
-    process = start("scripts/demo.py", "--quick", "--trials", 5000, "--out", tmp_path)
+    process = start("demo", "--quick", "--trials", 5000, "--out", tmp_path)
     deadline = time.monotonic() + 60
     while time.monotonic() < deadline and process.poll() is None:
         journal = next(tmp_path.glob("*.log"), None)
@@ -132,12 +120,16 @@ def test_ctrl_c_ends_with_what_was_found(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--data", "nowhere", "--quick", "--trials", 1), "nowhere holds no GT_trajectory"),
+        (
+            ("--data", "nowhere", "--quick"),
+            "--data must be a folder of recordings: nowhere is none",
+        ),
+        (("--data", "tests", "--quick", "--trials", 1), "tests holds no GT_trajectory"),
         (("--quick", "--trials", -1), "trials must be a whole number of at least 1, got -1"),
     ],
 )
 def test_bad_input_is_one_line(tmp_path, arguments, message):
-    code, _, err = run("scripts/demo.py", *arguments, "--out", tmp_path)
+    code, _, err = run("demo", *arguments, "--out", tmp_path)
     assert code == 2
     assert message in err
     assert "Traceback" not in err
@@ -146,7 +138,7 @@ def test_bad_input_is_one_line(tmp_path, arguments, message):
 @pytest.mark.slow
 @pytest.mark.parametrize("half", ["auv", "deck"])
 def test_the_reproduction_runs_end_to_end(half, tmp_path):
-    code, out, err = run("scripts/reproduce.py", half, "--quick", "--out", tmp_path)
+    code, out, err = run("reproduce", half, "--quick", "--out", tmp_path)
     assert code == 0, err
     results = json.loads((tmp_path / f"{half}.json").read_text())
     html = (tmp_path / f"{half}.html").read_text()

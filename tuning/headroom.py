@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from navgym.core.checks import one_of
+from navgym.problem import Amount, problem_of
+from navgym.simulation import scenarios
 from navgym.tuning.cases import Cases
 from navgym.tuning.comparison import Comparison, Entry, compare
 from navgym.tuning.experiments import best_fixed, regime_table, steering_of
@@ -19,10 +22,6 @@ from navgym.tuning.report import page as report
 from navgym.tuning.report import plots, tables
 from navgym.tuning.report.page import Figure, Page, Section, Table
 from navgym.tuning.study.run import Search
-
-from navgym.core.checks import one_of
-from navgym.problem import Amount, problem_of
-from navgym.simulation import scenarios
 
 FIXED, TABLE = "best fixed", "table by true regime"
 
@@ -159,9 +158,9 @@ def _check_line(c: Check) -> str:
     return f"  {c.what}: {c.found:.3f} ± {c.half:.3f}, expected {c.expected:g}: {c.verdict}"
 
 
-def write(found: list[Headroom], out: Path, **basis: Any) -> Path:
-    """Write headroom.json and headroom.html; returns the page."""
-    rests = report.provenance("headroom.py", **basis)
+def write(found: list[Headroom], out: Path, command: str, **basis: Any) -> Path:
+    """Write headroom.json and headroom.html, which record the command; returns the page."""
+    rests = report.provenance(command, **basis)
     made = {h.scenario: _as_dict(h) for h in found}
     report.write_json(out / "headroom.json", {"provenance": rests, "scenarios": made})
     page = Page(

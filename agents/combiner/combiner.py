@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from navgym.agents.policies import portable
 from numpy.typing import NDArray
 
+from navgym.agents.policies import portable
 from navgym.core.checks import Array, real_array, shaped
 from navgym.core.frozen import Frozen
 from navgym.core.parameters import ParameterSpace, parameter_table
@@ -83,7 +83,7 @@ class Combiner(Frozen):
             raise ValueError(
                 f"the combiner was trained on a {BANK} that differs from this navgym's in "
                 f"{', '.join(changed) or 'unknown fields'}: train it again "
-                "(python scripts/train_combiner.py), or install the navgym that made it."
+                "(navgym combine), or install the navgym that made it."
             )
         self._freeze(arrays | {"bank": facts, "training": writable(self.training)})
 

@@ -1,34 +1,35 @@
-"""The command line of `scripts/train_combiner.py`, and what it reports on fresh seeds."""
+"""`navgym combine`: train a combiner, and report on fresh seeds."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-import shlex
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from navgym.agents.combiner.combiner import BANK, Combiner
-from navgym.agents.combiner.material import CombinerConfiguration
-from navgym.agents.training.command import STOPPED
-from navgym.tuning.cases import Cases
 from tqdm import tqdm
 
+from navgym.agents.combiner.combiner import BANK, Combiner
+from navgym.agents.combiner.material import CombinerConfiguration
+from navgym.agents.policies.policy import located
+from navgym.command import as_typed
 from navgym.core.atomic import replacing
 from navgym.core.checks import positive_int
 from navgym.metrics import paired_difference
 from navgym.problem import problem_of
 from navgym.simulation import find_scenario
+from navgym.tuning.cases import Cases
+from navgym.tuning.commands.parse import parse
 
 ABOUT = """Train the combiner: a network that weighs the modes of the frozen bank.
 
-  python scripts/train_combiner.py                  the one in agents/pretrained, in five minutes or so
-  python scripts/train_combiner.py --shifts         report on shifted conditions, too
-  python scripts/train_combiner.py --evaluate agents/pretrained/combiner --shifts
+    navgym combine                                  one like that which navgym ships, in five minutes or so
+    navgym combine --shifts                         report on shifted conditions, too
+    navgym combine --evaluate combiner --shifts     report on the one that navgym ships
+    navgym combine --evaluate runs/mine/combiner
 
 Everything goes to one folder (--out): combiner.npz and combiner.json (a compiled kernel runs them,
 without torch), report.json, checkpoints. Stopped by Ctrl-C or killed, the same command goes on from
@@ -47,7 +48,7 @@ class Command:
     fresh: bool = False
     """start anew, even if the folder holds a training that could be continued"""
     evaluate: tuple[Path, ...] = ()
-    """instead of training, report on these combiners"""
+    """instead of training, report on these combiners: files, or combiner for the one that navgym ships"""
     report: int = 300
     """test recordings per condition; 0: no report"""
     shifts: bool = False
@@ -59,35 +60,19 @@ class Command:
             raise ValueError("report must be 0, or at least 2 recordings for an interval, got 1.")
 
 
-def main() -> int:
-    """Run the command line; returns the exit code."""
-    try:
-        command = tyro.cli(
-            Command,
-            prog="train_combiner.py",
-            description=ABOUT,
-            default=Command(CombinerConfiguration()),
-        )
-        return _obey(command)
-    except (ValueError, ModuleNotFoundError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(STOPPED, file=sys.stderr)
-        return 130
-
-
-def _obey(command: Command) -> int:
+def main(words: Sequence[str]) -> int:
+    """Train or only report; returns the exit status."""
+    command = parse(Command, "combine", ABOUT, words, Command(CombinerConfiguration()))
     config = command.configuration
     if command.evaluate:
         config = dataclasses.replace(config, out=config.out or Path("runs/combiner/report"))
-        chosen = {str(path): Combiner.load(path) for path in command.evaluate}
+        chosen = {str(path): Combiner.load(located(path)) for path in command.evaluate}
     else:
         from navgym.agents.combiner.training import train
 
         print(f"training into {config.folder}")
-        words = shlex.join(["python", "scripts/train_combiner.py", *sys.argv[1:]])
-        chosen = {"combiner": train(config, command.fresh, command=words)}
+        typed = as_typed("combine", words)
+        chosen = {"combiner": train(config, command.fresh, command=typed)}
         print(f"made {config.folder / 'combiner.npz'}")
     if command.report:
         rows = compare(chosen, conditions(config, command.shifts), command.report)

@@ -1,4 +1,4 @@
-"""The command line of `scripts/evaluate.py`."""
+"""`navgym evaluate`: policies beside every simpler way, on fresh recordings."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
+
 from navgym.agents.evaluation.contest import Extent
 from navgym.agents.evaluation.verdicts import (
     Bench,
@@ -20,20 +21,20 @@ from navgym.agents.evaluation.verdicts import (
     load,
     load_combiners,
 )
-
+from navgym.agents.policies.policy import located
+from navgym.command import as_typed
 from navgym.core.atomic import writable_folder
 from navgym.core.checks import positive_int
-from navgym.problem import problems
-
-DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+from navgym.core.data import absent, base_folder
+from navgym.tuning.commands.parse import parse
 
 ABOUT = """Is a policy better than the simpler ways of choosing parameters, and where?
 
-  python scripts/evaluate.py                             the policies of agents/pretrained, in 10 to 25 minutes
-  python scripts/evaluate.py runs/mine/policy.npz        one's own; name several to compare them
-  python scripts/evaluate.py A.npz B.npz --runs 200
-  python scripts/evaluate.py A.npz --scenario auv/switch-B
-  python scripts/evaluate.py --quick                     a few recordings and conditions, for a first look
+    navgym evaluate                             the policies that navgym ships, in 10 to 25 minutes
+    navgym evaluate runs/mine/policy.npz        one's own; name several to compare them
+    navgym evaluate runs/mine/policy.npz auv --runs 200
+    navgym evaluate auv --scenario auv/switch-B
+    navgym evaluate --quick                     a few recordings and conditions, for a first look
 
 Everybody runs on the same fresh recordings (test seeds): fixed parameters, rules, filters that need no
 parameters, bounds that know the truth, and the policies, alone and with their fallback. First the
@@ -51,19 +52,19 @@ class Options:
     """What was asked for."""
 
     policies: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
-    """files of policies (.npz); those of agents/pretrained if none is named"""
+    """files of policies (.npz), or auv and deck for those that navgym ships; both of these if none is
+    named"""
     scenario: tuple[str, ...] = ()
     """judge on these instead of the scenarios that the policies were trained on"""
     combiner: tuple[Path, ...] = ()
-    """files of learned combiners to run beside; that of agents/pretrained if none is named"""
+    """files of learned combiners to run beside; that which navgym ships if none is named"""
     runs: int | None = None
-    """recordings per condition that a policy was trained for (default: hundreds, as each problem says)"""
+    """recordings per condition that a policy was trained for; None: hundreds, as each problem says"""
     workers: int | None = None
-    """processes (default: one per core, at most 8; one with --quick); the numbers do not depend on it, but
+    """processes; None: one per core, at most 8, and one with --quick. The numbers do not depend on it, but
     times are those of a busy machine then"""
     data: Path | None = None
-    """folder of real tracks, or with a folder per set of them, such as akit (default: ../shared/data beside
-    the repository, if it is there)"""
+    """folder of real tracks, or with a folder per set of them, such as akit; None: that in $NAVGYM_DATA"""
     out: Path = Path("runs/evaluate")
     """folder for report.html and results.json"""
     fallback: bool = True
@@ -93,32 +94,21 @@ class Options:
 
     @property
     def tracks(self) -> Path | None:
-        """Folder of real tracks, None where there is none."""
-        if self.data is not None:
-            return self.data
-        names = [p.tracks.name for p in problems() if p.tracks is not None]
-        return DATA if any((DATA / name).is_dir() for name in names) else None
+        """Folder that real tracks are looked for in."""
+        return base_folder() if self.data is None else self.data
 
 
-def main(words: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status."""
-    try:
-        options = tyro.cli(Options, prog="evaluate.py", description=ABOUT, args=words)
-        benches = run(options)
-    except (ValueError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\nstopped: nothing was written", file=sys.stderr)
-        return 130
-    bad = failures(benches)
+def main(words: Sequence[str]) -> int:
+    """Evaluate; returns the exit status."""
+    options = parse(Options, "evaluate", ABOUT, words)
+    bad = failures(run(options, as_typed("evaluate", words)))
     for sentence in bad:
         print(f"NOT BETTER: {sentence}", file=sys.stderr)
     return 1 if bad else 0
 
 
-def run(options: Options) -> list[Bench]:
-    """Evaluate, print the tables, write the page and the results."""
+def run(options: Options, command: str) -> list[Bench]:
+    """Evaluate, print the tables, write the page and the results, which record the command."""
     from navgym.agents.evaluation import report as evaluation_report
     from navgym.agents.evaluation import tables as evaluation_tables
     from navgym.tuning.report import page as report
@@ -126,18 +116,17 @@ def run(options: Options) -> list[Bench]:
     began = time.perf_counter()
     options.check()
     found = leagues(
-        load(options.policies), options.extent, options.scenario, options.tracks, options.fallback,
-        load_combiners(options.combiner),
+        load([located(p) for p in options.policies]), options.extent, options.scenario,
+        options.tracks, options.fallback, load_combiners([located(p) for p in options.combiner]),
     )  # fmt: skip
-    sets = [p.tracks.title for p in (each.problem for each in found) if p.tracks is not None]
-    if options.tracks is None and sets:
-        print(
-            f"no {', '.join(sets)} data: real tracks are left out (name their folder with --data)"
-        )
+    tracks = {each.problem.tracks.title: each.folder for each in found if each.problem.tracks}
+    missing = [title for title, folder in tracks.items() if folder is None]
+    if missing:
+        print(absent(*missing))
     benches = evaluate(found, options.processes, told=_show)
     basis = report.provenance(
-        "evaluate.py",
-        tracks="none" if options.tracks is None else ", ".join(sets) or "none",
+        command,
+        tracks=", ".join(title for title in tracks if title not in missing) or "none",
         seeds={"all figures": "test"},
         load=f"{os.getloadavg()[0]:.1f}, {options.processes} processes",
     )

@@ -11,6 +11,8 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
+from tqdm import tqdm
+
 from navgym.agents.combiner.combiner import KIND as COMBINER_KIND
 from navgym.agents.combiner.combiner import Combiner
 from navgym.agents.evaluation.contest import (
@@ -29,15 +31,14 @@ from navgym.agents.evaluation.play import Part, joined, parts, play
 from navgym.agents.evaluation.rollout import problem_in
 from navgym.agents.policies.policy import KIND, PRETRAINED, Policy
 from navgym.agents.policies.portable import pair
-from navgym.tuning.comparison import Comparison
-from navgym.tuning.study.executors import workers
-from tqdm import tqdm
-
 from navgym.core.checks import one_of, positive_int
+from navgym.core.data import data_folder
 from navgym.metrics import PairedDifference, holm
 from navgym.problem import Tracks, environments, problem_of
 from navgym.simulation import find_scenario
 from navgym.simulation import scenarios as known_scenarios
+from navgym.tuning.comparison import Comparison
+from navgym.tuning.study.executors import workers
 
 COMBINED = "bank + combiner"
 LEVEL = 0.05  # of the tests, several policies together
@@ -141,7 +142,7 @@ def shipped() -> list[Path]:
     found = [p for p in sorted(PRETRAINED.glob("*.json")) if _kind(p) == KIND]
     if not found:
         raise ValueError(
-            "agents/pretrained holds no policy: name one, or train one with python scripts/train.py."
+            "agents/pretrained holds no policy: name one, or train one with navgym train."
         )
     return found
 
@@ -210,9 +211,7 @@ def leagues(
 
 def _folder(given: Path | None, tracks: Tracks | None) -> Path | None:
     """Where a problem's tracks lie: in the folder given, or in one of their name there."""
-    if given is None or tracks is None:
-        return None
-    return given / tracks.name if (given / tracks.name).is_dir() else given
+    return None if given is None or tracks is None else data_folder(tracks.name, given)
 
 
 def own_conditions(label: str, policy: Policy, scenarios: Sequence[str] = ()) -> list[Condition]:

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from navgym.agents.policies import portable
-from navgym.agents.policies.manifest import Manifest
 from numpy.typing import ArrayLike, NDArray
 
+from navgym.agents.policies import portable
+from navgym.agents.policies.manifest import Manifest
 from navgym.core.checks import Array, one_of, real_array, shaped
 from navgym.envs.actions import LIMIT, action_table, fill_rows
 
@@ -314,6 +314,15 @@ def _checked_layers(
         width = outputs
         found.append((w.astype(np.float32), b.astype(np.float32)))
     return found
+
+
+def located(name: str | os.PathLike[str]) -> Path:
+    """A learned thing's path: as given, or, of a bare name that is no file here, the shipped one's."""
+    path = Path(name)
+    there = any(file.exists() for file in portable.pair(path))
+    ours = PRETRAINED / path
+    known = len(path.parts) == 1 and portable.pair(ours)[0].exists()
+    return ours if known and not there else path
 
 
 def shipped(name: str) -> Policy:

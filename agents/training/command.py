@@ -1,26 +1,26 @@
-"""The command line of `scripts/train.py`: a preset or a TOML file, and any field of a configuration."""
+"""`navgym train`: a preset or a TOML file, and any field of a configuration."""
 
 from __future__ import annotations
 
-import shlex
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 import tyro
-from navgym.agents.training.configuration import Configuration, presets
 
+from navgym.agents.training.configuration import Configuration, presets
+from navgym.command import as_typed
 from navgym.core.atomic import replacing
 from navgym.core.checks import positive_int
+from navgym.tuning.commands.parse import parse as parsed
 
 ABOUT = """Train a policy that sets a filter's parameters while it runs.
 
-  python scripts/train.py                      a specialist for auv/switch-D, in a minute or two
-  python scripts/train.py deck --seed 1        another preset, and any option below
-  python scripts/train.py runs/mine/config.toml --decisions 2000000
-  python scripts/train.py auv --search 20      tune the agent's own hyper-parameters with Optuna
+    navgym train                      a specialist for auv/switch-D, in a minute or two
+    navgym train deck --seed 1        another preset, and any option below
+    navgym train runs/mine/config.toml --decisions 2000000
+    navgym train auv --search 20      tune the agent's own hyper-parameters with Optuna
 
 presets (give one as the first word; --help after it shows its values):
 {presets}
@@ -28,11 +28,8 @@ presets (give one as the first word; --help after it shows its values):
 Everything goes to one folder (--out): policy.npz and policy.json (numpy alone runs them), config.toml,
 training.json, training.html with the learning curve, TensorBoard's logs, checkpoints. Stopped by Ctrl-C
 or killed, the same command goes on from the last checkpoint. Validation recordings choose the
-policy; `python scripts/evaluate.py OUT/policy.npz` then says what it is worth on fresh ones.
+policy; `navgym evaluate OUT/policy.npz` then says what it is worth on fresh ones.
 """
-
-
-STOPPED = "\nstopped: the same command, without --fresh, goes on from the last checkpoint"
 
 
 @dataclass(frozen=True)
@@ -63,41 +60,28 @@ def parse(words: Sequence[str]) -> Command:
     known = presets()
     width = max(map(len, known))
     listed = "\n".join(f"  {name.ljust(width)}  {text}" for name, (text, _) in known.items())
-    found: Command = tyro.cli(
-        Command,
-        prog="train.py [PRESET | FILE.toml]",
-        description=ABOUT.format(presets=listed),
-        default=Command(base),
-        args=rest,
-    )
-    return found
+    about = ABOUT.format(presets=listed)
+    return parsed(Command, "train [PRESET | FILE.toml]", about, rest, Command(base))
 
 
-def main() -> int:
-    """Run the command line; returns the exit code."""
-    try:
-        command = parse(sys.argv[1:])
-        return _search(command) if command.search else _train(command)
-    except (ValueError, ModuleNotFoundError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(STOPPED, file=sys.stderr)
-        return 130
+def main(words: Sequence[str]) -> int:
+    """Train, or search for a recipe; returns the exit status."""
+    command = parse(words)
+    return _search(command) if command.search else _train(command, as_typed("train", words))
 
 
-def _train(command: Command) -> int:
+def _train(command: Command, typed: str) -> int:
     from navgym.agents.training.run import train
 
     config = command.configuration
     print(f"training into {config.folder} (TensorBoard: tensorboard --logdir {config.folder})")
-    made = train(config, command.fresh, command=as_typed())
+    made = train(config, command.fresh, command=typed)
     for name, gains in made.best.scores["gains"].items():
         each = ", ".join(f"{quantity} {100 * gain:+.1f} %" for quantity, gain in gains.items())
         print(f"{name} (validation, against best fixed parameters): {each}")
     print(f"learning curve: {made.folder / 'training.html'}")
     if made.policy is not None:
-        print(f"next, on fresh seeds: python scripts/evaluate.py {made.folder / 'policy.npz'}")
+        print(f"next, on fresh seeds: navgym evaluate {made.folder / 'policy.npz'}")
     return 0
 
 
@@ -113,13 +97,8 @@ def _search(command: Command) -> int:
     print(f"score {1 - first.result:.4f} with the first recipe, {1 - found.best.result:.4f} with")
     for name, value in found.best.values.items():
         print(f"  {name} = {value:.4g}")
-    print(f"next: python scripts/train.py {path} --out {config.folder / 'best'}")
+    print(f"next: navgym train {path} --out {config.folder / 'best'}")
     return 0
-
-
-def as_typed() -> str:
-    """The command as it was given, for the record."""
-    return shlex.join(["python", "scripts/train.py", *sys.argv[1:]])
 
 
 def _base(word: str) -> Configuration:

@@ -1,7 +1,7 @@
 """Everything that a training depends on, declared once: file, command line and docs read it.
 
 Each field's help is the text below it. A configuration is written as TOML beside what it made, and
-the same file can be given to `scripts/train.py` again.
+the same file can be given to `navgym train` again.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from navgym.agents.evaluation.rollout import problem_in
-from navgym.tuning import declared
 from tyro.constructors import PrimitiveConstructorSpec
 
+from navgym.agents.evaluation.rollout import problem_in
 from navgym.core.checks import one_of, positive_int, within
 from navgym.problem import Preset, Problem, environments, problems
 from navgym.simulation import find_scenario
+from navgym.tuning import declared
 
 
 def _object(text: str) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+
 from navgym.agents.training.configuration import Configuration
 from navgym.agents.training.record import Mark
 
@@ -49,7 +50,7 @@ def write_curve(
         lede=[
             f"`{config.algorithm}`, seed {config.seed}, {history[-1].decisions} decisions in "
             f"{history[-1].seconds:.0f} s. Figures are of validation recordings, which chose the "
-            "policy: report those of `scripts/evaluate.py`, which are of fresh ones."
+            "policy: report those of `navgym evaluate`, which are of fresh ones."
         ],
         tiles=[Tile(f"{100 * gain:.1f} %", f"below best fixed parameters on {first}", "own")],
         sections=[Section("Learning curve", items=[made[0]])],

@@ -1,9 +1,6 @@
 """A combiner's training learns, gives the same network twice, and survives being stopped."""
 
-import dataclasses
 import json
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,13 +9,12 @@ pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 pytest.importorskip("tyro")
 
+import navgym
 from navgym.agents import Combiner
-from navgym.agents.combiner import command as combiner_command
 from navgym.agents.combiner.material import RANGES, CombinerConfiguration, material
 from navgym.agents.combiner.training import Network, Trainer, gains, mixed, train
 from navgym.agents.training import checkpoints
-
-import navgym
+from navgym.command import main as command
 from navgym.core.seeds import seeds, split_of
 from navgym.statespace.batch import Batch
 from navgym.statespace.filters import combiner as kernels
@@ -178,15 +174,14 @@ def test_more_material_than_memory_is_refused_with_what_fits(tmp_path):
 # ---- the command line
 
 
-def call(monkeypatch, *words):
-    monkeypatch.setattr(sys, "argv", ["train_combiner.py", *map(str, words)])
-    return combiner_command.main()
+def call(*words):
+    return command(["combine", *map(str, words)])
 
 
-def test_the_command_line_reports_on_a_combiner(made, tmp_path, monkeypatch, capsys):
+def test_the_command_line_reports_on_a_combiner(made, tmp_path, capsys):
     _, config = made
     words = ("--evaluate", config.folder / "combiner", "--report", 4, "--out", tmp_path)
-    assert call(monkeypatch, *words, "--scenarios", "auv/switch-B") == 0
+    assert call(*words, "--scenarios", "auv/switch-B") == 0
     assert "gain over bank" in capsys.readouterr().out
     (row,) = json.loads((tmp_path / "report.json").read_text())
     cases = navgym.seeds("test", 4)
@@ -196,23 +191,22 @@ def test_the_command_line_reports_on_a_combiner(made, tmp_path, monkeypatch, cap
     assert row["difference"]["relative_gain"] == pytest.approx(1 - row["error"] / row["bank"])
 
 
-def test_the_command_line_trains(tmp_path, monkeypatch, capsys):
+def test_the_command_line_trains(tmp_path, capsys):
     words = [f"--{name}={value}" for name, value in TINY.items()]
-    assert call(monkeypatch, *words, "--out", tmp_path, "--report", 0) == 0
+    assert call(*words, "--out", tmp_path, "--report", 0) == 0
     assert "100%" in capsys.readouterr().out
     made = Combiner.load(tmp_path / "combiner")
-    assert made.training["command"].startswith("python scripts/train_combiner.py --recordings=12")
+    assert made.training["command"].startswith("navgym combine --recordings=12")
     assert len(list((tmp_path / "checkpoints").iterdir())) == checkpoints.KEPT
 
 
-def test_wrong_words_end_with_a_message(tmp_path, monkeypatch, capsys):
-    assert call(monkeypatch, "--evaluate", tmp_path / "none") == 2
+def test_wrong_words_end_with_a_message(tmp_path, capsys):
+    assert call("--evaluate", tmp_path / "none") == 2
     assert "none.npz is missing" in capsys.readouterr().err
-    assert call(monkeypatch, "--out", tmp_path, "--memory", 1e-6) == 2
+    assert call("--out", tmp_path, "--memory", 1e-6) == 2
     assert "memory" in capsys.readouterr().err
 
 
-def test_the_script_does_nothing_but_call_it():
-    text = (Path(__file__).resolve().parents[2] / "scripts" / "train_combiner.py").read_text()
-    assert "combiner_command" in text
-    assert dataclasses.is_dataclass(combiner_command.Command)
+def test_the_shipped_combiner_is_called_by_its_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert call("--evaluate", "combiner", "--report", 0) == 0

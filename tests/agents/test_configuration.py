@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import sys
 
 import pytest
 
@@ -15,7 +14,7 @@ from navgym.agents.training import command, hyperparameters
 from navgym.agents.training.configuration import Configuration, markdown, presets
 from navgym.agents.training.hyperparameters import ShortTraining
 from navgym.agents.training.run import train
-
+from navgym.command import main as navgym_command
 from tests.agents.small import RECIPE, quiet, tiny
 
 
@@ -118,9 +117,8 @@ class TestConfiguration:
         (["--scenarios", "auv/switch-Z"], "unknown scenario"),
     ],
 )
-def test_the_script_says_what_is_wrong_and_exits_with_2(words, message, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["train.py", *words])
-    assert command.main() == 2
+def test_the_script_says_what_is_wrong_and_exits_with_2(words, message, capsys):
+    assert navgym_command(["train", *words]) == 2
     assert message in capsys.readouterr().err
 
 
@@ -134,8 +132,7 @@ def test_ctrl_c_leaves_a_usable_policy_and_a_hint(tmp_path, monkeypatch, capsys)
         raise KeyboardInterrupt
 
     monkeypatch.setattr("navgym.agents.training.run.train", interrupted)
-    monkeypatch.setattr(sys, "argv", ["train.py", str(tmp_path / "in.toml")])
-    assert command.main() == 130
+    assert navgym_command(["train", str(tmp_path / "in.toml")]) == 130
     assert "without --fresh, goes on" in capsys.readouterr().err
     assert Policy.load(tmp_path / "policy").manifest.environment == "navgym/AUVDropout-v0"
 
@@ -150,12 +147,11 @@ def test_the_recipe_is_a_goal_for_a_study(tmp_path):
     assert json.loads(json.dumps(goal.about))["decisions"] == 128
 
 
-def test_a_search_writes_a_recipe_that_trains(tmp_path, monkeypatch, capsys):
+def test_a_search_writes_a_recipe_that_trains(tmp_path, capsys):
     pytest.importorskip("optuna")
     config = tiny(tmp_path, decisions=640)
     (tmp_path / "in.toml").write_text(config.to_toml())
-    monkeypatch.setattr(sys, "argv", ["train.py", str(tmp_path / "in.toml"), "--search", "2"])
-    assert command.main() == 0
+    assert navgym_command(["train", str(tmp_path / "in.toml"), "--search", "2"]) == 0
     best = Configuration.from_toml(tmp_path / "best-recipe.toml")
     assert best.decisions == 640
     assert "best-recipe.toml" in capsys.readouterr().out

@@ -12,7 +12,6 @@ pytest.importorskip("tyro")
 
 
 from navgym.agents.combiner.combiner import Combiner
-from navgym.agents.evaluation import command as evaluation_command
 from navgym.agents.evaluation import report as evaluation_report
 from navgym.agents.evaluation import tables as evaluation_tables
 from navgym.agents.evaluation import verdicts as evaluation
@@ -32,16 +31,17 @@ from navgym.agents.evaluation.verdicts import (
     own_conditions,
 )
 from navgym.agents.policies.policy import Policy
-from navgym.tuning.comparison import Comparison, Entry, rows_of
-from navgym.tuning.report import page as report
-
 from navgym.auv.scenarios import SHIFTS
+from navgym.command import main as command
+from navgym.core.data import VARIABLE
 from navgym.core.seeds import split_of
 from navgym.problem import problem_of
 from navgym.simulation import simulate_many
 from navgym.statespace.batch import Batch
 from navgym.statespace.filters.bank import MODE_SETS
 from navgym.statespace.filters.combiner import shapes
+from navgym.tuning.comparison import Comparison, Entry, rows_of
+from navgym.tuning.report import page as report
 from tests.agents import hand_made
 from tests.agents.both import AUV, DECK, run
 
@@ -321,14 +321,14 @@ def test_the_deck_is_judged_by_four_quantities(tmp_path):
 @pytest.fixture
 def saved(tmp_path, monkeypatch):
     """Runs the command on policies, each saved under its name; returns the status."""
-    monkeypatch.setattr(evaluation_command, "DATA", tmp_path / "no data")
+    monkeypatch.delenv(VARIABLE, raising=False)  # no real tracks
 
     def run(*words, **policies):
         for name, policy in policies.items():
             policy.save(tmp_path / name)
         files = [str(tmp_path / f"{name}.npz") for name in policies]
         out = ["--out", str(tmp_path / "out")]
-        return evaluation_command.main([*files, "--no-fallback", *out, *words])
+        return command(["evaluate", *files, "--no-fallback", *out, *words])
 
     return run
 
@@ -344,6 +344,7 @@ def test_the_command_writes_prints_and_succeeds_with_a_better_policy(saved, tmp_
         if row["divergence_rate"] <= 0.01:
             assert f"{row['mean']:.3f} ± {row['high'] - row['mean']:.3f}" in html
     assert "no A-KIT data" in out
+    assert results["provenance"]["command"].startswith("navgym evaluate ")
     assert "NOT BETTER" not in err
     assert html.count("<svg") == 2  # one regime: no switches to look at
     assert not re.search(r"(src|href)=", html.replace("xlink:href=", ""))
@@ -394,7 +395,7 @@ def test_files_that_are_no_policies_are_refused(saved, tmp_path, capsys):
     (tmp_path / "foreign.npz").write_bytes(b"not a policy")
     (tmp_path / "foreign.json").write_text("{}")
     for name in ("cut", "foreign", "absent"):
-        assert evaluation_command.main([str(tmp_path / f"{name}.npz")]) == 2
+        assert command(["evaluate", str(tmp_path / f"{name}.npz")]) == 2
         err = capsys.readouterr().err
         assert name in err
         assert "Traceback" not in err

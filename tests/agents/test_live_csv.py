@@ -1,24 +1,26 @@
-"""A log line by line through scripts/stream.py, and what that needs to be installed."""
+"""A log line by line through `navgym stream`, and what that needs to be installed."""
 
 import subprocess
 import sys
 
 import numpy as np
 import pytest
-from navgym.agents.live.lines import Noise, estimates
 
 import navgym
+from navgym.agents.live.lines import Noise, estimates
 from navgym.auv.csv_log import write_csv
 from navgym.auv.environment import AUVDropoutEnv
 from navgym.simulation import find_scenario
 from tests.agents import hand_made
 from tests.agents.both import AUV, DECK
 from tests.agents.live import some_policy
+from tests.commands import EXTRAS, without
 
 
 def test_it_runs_without_torch():
     text = (
-        "import sys, agents, navgym.agents.live.lines\n"
+        "import sys, navgym.agents.live.lines\n"
+        "from navgym import agents\n"
         "agents.SelfTuningFilter, agents.Policy\n"
         "heavy = {'torch', 'stable_baselines3', 'optuna', 'matplotlib'} & set(sys.modules)\n"
         "assert not heavy, heavy\n"
@@ -26,10 +28,10 @@ def test_it_runs_without_torch():
     subprocess.run([sys.executable, "-c", text], check=True)
 
 
-class TestTheScript:
+class TestTheCommand:
     @staticmethod
     def start(policy, *words):
-        command = [sys.executable, "scripts/stream.py", str(policy), *words]
+        command = [sys.executable, "-m", "navgym.command", "stream", str(policy), *words]
         pipe = subprocess.PIPE
         return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
 
@@ -65,6 +67,20 @@ class TestTheScript:
         assert err.count("waiting for a first position") == 60 - len(rows)
         miss = np.stack([rows["px"], rows["py"]], -1) - recording.truth[-len(rows) :, [0, 2]]
         assert np.sqrt((miss**2).sum(axis=1).mean()) < 2.0
+
+    def test_the_shipped_policy_is_called_by_its_name(self):
+        with self.start("auv") as process:
+            out, _ = process.communicate("time,px,py\n1,1,1\n2,2,2\n")
+        assert process.returncode == 0
+        assert len(out.splitlines()) == 3
+
+    def test_it_needs_what_a_plain_navgym_installs_and_nothing_else(self):
+        code = without(EXTRAS) + "sys.exit(main(['stream', 'auv']))"
+        text = "time,px,py\n1,1,1\n2,2,2\n"
+        command = [sys.executable, "-c", code]
+        done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        assert len(done.stdout.splitlines()) == 3
 
     def test_bad_input_ends_it_with_a_message(self, saved):
         with self.start(saved) as process:

@@ -18,7 +18,6 @@ from navgym.agents.training import checkpoints
 from navgym.agents.training.configuration import Configuration, presets
 from navgym.agents.training.run import train
 from navgym.agents.training.validation import Validation
-
 from tests.agents.both import AUV, DECK
 from tests.agents.small import RECIPE, quiet, tiny
 
@@ -211,7 +210,7 @@ def test_a_killed_process_loses_nothing(tmp_path):
         (tmp_path / f"{name}.toml").write_text(tiny(tmp_path / name).to_toml())
 
     def start(name):
-        script = [sys.executable, str(ROOT / "scripts/train.py"), str(tmp_path / f"{name}.toml")]
+        script = [sys.executable, "-m", "navgym.command", "train", str(tmp_path / f"{name}.toml")]
         return subprocess.Popen(script, stdout=subprocess.PIPE, text=True, bufsize=1)
 
     assert start("whole").wait() == 0

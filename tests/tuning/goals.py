@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
+import navgym
 from navgym.tuning.objectives import Evaluation
 from navgym.tuning.study import run as study
 from navgym.tuning.study.executors import workers
 from navgym.tuning.study.run import Search, search
-
-import navgym
 
 # a whole number, three scales, a choice: every kind of parameter
 SPACE = navgym.parameter_space("qivbf").subset(
@@ -150,7 +150,7 @@ def died(signal_number):
 
 
 def main(arguments):
-    """Like scripts/tune.py, it ends with status 2 after an error and 130 after Ctrl-C."""
+    """Like `navgym tune`, it ends with status 2 after an error and 130 after Ctrl-C."""
     parser = argparse.ArgumentParser()
     parser.add_argument("where")
     parser.add_argument("--trials", type=int, default=12)

@@ -7,15 +7,15 @@ import tomllib
 
 import numpy as np
 import pytest
+
+import navgym
+from navgym.auv.csv_log import write_csv
+from navgym.problem import Amount
 from navgym.tuning import tune
 from navgym.tuning.cases import Cases
 from navgym.tuning.headroom import FIXED, TABLE, headroom
 from navgym.tuning.report import study as tune_report
 from navgym.tuning.settings import StudySettings
-
-import navgym
-from navgym.auv.csv_log import write_csv
-from navgym.problem import Amount
 
 
 def small(out, **more):
@@ -53,7 +53,7 @@ def test_the_tuned_file_gives_the_reported_error(found):
     rmse = np.sqrt(((states - recording.truth)[:, [0, 2]] ** 2).sum(axis=1).mean())
     assert rmse == pytest.approx(found.reports["auv/mismatch"].errors[found.tuned][0], rel=1e-12)
     content = tomllib.loads(path.read_text())
-    assert content["provenance"]["command"].startswith("python scripts/tune.py")
+    assert content["provenance"]["command"].startswith("navgym")
     assert "%" in content["provenance"]["gain over defaults"]["auv/mismatch"]
 
 

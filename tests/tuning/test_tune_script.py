@@ -1,33 +1,21 @@
-"""scripts/tune.py as a user runs it: stopped, resumed, repeated, on one core and on two."""
+"""navgym tune as a user runs it: stopped, resumed, repeated, on one core and on two."""
 
+import functools
 import json
-import os
 import signal
-import subprocess
-import sys
 import time
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests import commands
+
 SMALL = (
     "--filter", "kf", "--scenario", "auv/mismatch", "--steps", "100", "--runs", "6", "--select-runs", "6",
     "--report-runs", "8",
 )  # fmt: skip
 
 
-def start(*arguments):
-    return subprocess.Popen(
-        [sys.executable, "scripts/tune.py", *map(str, arguments)], cwd=ROOT, text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=os.environ | {"COLUMNS": "200"},
-    )  # fmt: skip
-
-
-def run(*arguments):
-    process = start(*arguments)
-    out, err = process.communicate()
-    return process.returncode, out, err
+start, run = functools.partial(commands.start, "tune"), functools.partial(commands.run, "tune")
 
 
 def results(folder):

@@ -9,7 +9,6 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from navgym.tuning.benchmarks.timing import Row, episodes, measured, paired, python, seconds
 from scipy.spatial.transform import Rotation
 
 import navgym
@@ -20,6 +19,7 @@ from navgym.deck.model import lever_matrix
 from navgym.deck.problem import PROBLEM
 from navgym.identification import METHODS, RVM, identify
 from navgym.simulation import simulate_many
+from navgym.tuning.benchmarks.timing import Row, episodes, measured, paired, python, seconds
 
 ENV = "navgym/DeckDeformation-v0"
 

@@ -11,14 +11,13 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import navgym
+from navgym.auv.problem import STEERED
 from navgym.tuning.benchmarks.timing import Row, measured, seconds
 from navgym.tuning.cases import Cases
 from navgym.tuning.objectives import Objective
 from navgym.tuning.study.executors import workers
 from navgym.tuning.study.run import Search, search
-
-import navgym
-from navgym.auv.problem import STEERED
 
 TRIALS = 200
 

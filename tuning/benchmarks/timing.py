@@ -81,14 +81,13 @@ def measured(parts: Sequence[Callable[[int], Row | list[Row]]], rounds: int) -> 
     return rows
 
 
-def as_markdown(part: str, title: str, rows: Sequence[Row]) -> str:
+def as_markdown(title: str, command: str, rows: Sequence[Row]) -> str:
     """The table with what is needed to read it."""
     load = os.getloadavg()[0]
     lines = [
         f"# How fast: {title}",
         "",
-        f"Written by `python scripts/benchmark.py {part} --write`. Pairs were run in turns; a ratio is "
-        "the median over the turns.",
+        f"Written by `{command}`. Pairs were run in turns; a ratio is the median over the turns.",
         "",
         f"navgym {navgym.__version__}, Python {platform.python_version()}, "
         f"{os.cpu_count()} cores ({platform.machine()}), load {load:.1f}.",

@@ -1,42 +1,57 @@
-"""Command lines from a dataclass: its fields are the flags, its docstring is the help."""
+"""Command lines from a dataclass: its fields are the flags, its docstrings are the help."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import tyro
+
 from navgym.tuning import declared
 
 S = TypeVar("S")
 CONFIG = "--config"
 
 
-def parse(kind: type[S], doc: str | None, arguments: Sequence[str] | None = None) -> S:
-    """A `kind` (a frozen dataclass with defaults) from the command line.
-
-    `--config FILE` reads fields from a TOML file first; flags then override it.
+def parse(
+    kind: type[S], name: str, about: str | None, words: Sequence[str], default: S | None = None
+) -> S:
+    """A `kind` (a frozen dataclass) from the words after a command.
 
     Args:
         kind: the dataclass.
-        doc: what --help says above the flags.
-        arguments: of the command; those of this process by default.
+        name: of the command, with what may stand before the flags.
+        about: what --help says above the flags.
+        words: of the command line.
+        default: what flags change; the dataclass's own defaults if not given.
 
     Raises:
-        ValueError: a file that is not TOML, an unknown field, values that do not fit together.
-        FileNotFoundError: no such file.
+        ValueError: values that do not fit together.
         SystemExit: flags that cannot be read, or --help.
     """
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    default = kind()
-    if CONFIG in given:
-        at = given.index(CONFIG)
-        if at + 1 == len(given):
-            raise ValueError(f"{CONFIG} needs a file: {CONFIG} settings.toml.")
-        default = declared.from_toml(kind, Path(given[at + 1]))
-        del given[at : at + 2]
-    return tyro.cli(
-        kind, args=given, default=default, description=doc, config=(tyro.conf.FlagConversionOff,)
-    )
+    start: dict[str, Any] = {} if default is None else {"default": default}
+    found: S = tyro.cli(kind, prog=f"navgym {name}", description=about, args=list(words), **start)
+    return found
+
+
+def configured(kind: type[S], words: Sequence[str]) -> tuple[S, list[str]]:
+    """Defaults from the file that `--config FILE` names, if it does, and the other words.
+
+    Args:
+        kind: a dataclass with defaults.
+        words: of the command line.
+
+    Raises:
+        ValueError: a file that is not TOML, an unknown field, a value of another type.
+        FileNotFoundError: no such file.
+    """
+    rest = list(words)
+    if CONFIG not in rest:
+        return kind(), rest
+    at = rest.index(CONFIG)
+    if at + 1 == len(rest):
+        raise ValueError(f"{CONFIG} needs a file: {CONFIG} settings.toml.")
+    path = Path(rest[at + 1])
+    del rest[at : at + 2]
+    return declared.from_toml(kind, path), rest

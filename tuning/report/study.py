@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import tomli_w
+
+from navgym.core.checks import Array
 from navgym.tuning import declared
 from navgym.tuning.cases import Cases
 from navgym.tuning.comparison import Comparison
@@ -21,27 +23,30 @@ from navgym.tuning.study.sensitivity import FLAT, Sweep
 from navgym.tuning.study.storage import shown
 from navgym.tuning.tune import Findings
 
-from navgym.core.checks import Array
-
 TUNED_FILE, PAGE, RESULTS, SETTINGS = "tuned.toml", "report.html", "results.json", "settings.toml"
 
 
-def write(found: Findings) -> None:
-    """Write report.html, results.json, tuned.toml and settings.toml to the study's folder."""
+def write(found: Findings, command: str = "navgym.tuning.tune.run") -> None:
+    """Write report.html, results.json, tuned.toml and settings.toml to the study's folder.
+
+    Args:
+        found: what to write.
+        command: that found it, for the record.
+    """
     out = found.settings.out
-    basis = provenance(found)
+    basis = provenance(found, command)
     report.write_text(out / SETTINGS, declared.to_toml(declared.own(found.settings)))
     report.write_text(out / TUNED_FILE, tuned_toml(found, basis))
     report.write_json(out / RESULTS, results(found, basis))
     report.write_page(out / PAGE, page(found, basis))
 
 
-def provenance(found: Findings) -> dict[str, Any]:
+def provenance(found: Findings, command: str) -> dict[str, Any]:
     """What the result rests on."""
     settings = found.settings
     where = shown(settings.storage) if settings.storage else str(settings.out / "study.log")
     return report.provenance(
-        "tune.py", seeds=found.stages.split, sampler=f"{settings.sampler}, seed {settings.seed}",
+        command, seeds=found.stages.split, sampler=f"{settings.sampler}, seed {settings.seed}",
         study=where,
     )  # fmt: skip
 
@@ -85,7 +90,7 @@ def tuned_toml(found: Findings, basis: Mapping[str, Any]) -> str:
         },
     }
     return (
-        '# Written by tune.py: navgym.estimate(filter, recording, "tuned.toml")\n'
+        '# Written by navgym tune: navgym.estimate(filter, recording, "tuned.toml")\n'
         + tomli_w.dumps(_without_none(whole))
     )
 

@@ -1,0 +1,67 @@
+"""`navgym benchmark`: ratios to well-known things, measured in the same run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from navgym.command import as_typed
+from navgym.core.checks import positive_int
+from navgym.tuning.benchmarks.timing import Row, as_markdown
+from navgym.tuning.commands.parse import parse
+from navgym.tuning.report.page import write_text
+
+ABOUT = """How fast navgym is, as ratios to well-known things measured in the same run.
+
+    navgym benchmark auv                print the table
+    navgym benchmark deck
+    navgym benchmark agents             learning, acting, live filters (needs the agents extra)
+    navgym benchmark studies            what Optuna and its storage cost
+    navgym benchmark deck --write benchmarks-deck.md
+
+Machines are noisy, so each pair is run in turns, and the median of the ratios is what counts. The
+peers filterpy, fastrvm and dynamax are optional: pip install filterpy fastrvm dynamax.
+"""
+TITLES = {"auv": "the AUV", "deck": "the deck", "agents": "agents", "studies": "studies"}
+
+
+@dataclass(frozen=True)
+class BenchmarkOptions:
+    """What was asked for."""
+
+    part: Annotated[Literal["auv", "deck", "agents", "studies"], tyro.conf.Positional]
+    """what to measure"""
+    rounds: int = 7
+    """turns per pair"""
+    write: Path | None = None
+    """also write the table to this Markdown file"""
+
+
+def main(words: Sequence[str]) -> int:
+    """Measure; returns the exit status."""
+    options = parse(BenchmarkOptions, "benchmark", ABOUT, words)
+    rows = _part(options.part)(positive_int("rounds", options.rounds))
+    text = as_markdown(TITLES[options.part], as_typed("benchmark", words), rows)
+    print(text)
+    if options.write is not None:
+        write_text(options.write, text)
+    return 0
+
+
+def _part(name: str) -> Callable[[int], list[Row]]:
+    """What measures `name`; only its own packages are imported."""
+    if name == "agents":
+        from navgym.agents.benchmarks import agents
+
+        return agents
+    if name == "studies":
+        from navgym.tuning.benchmarks.studies import studies
+
+        return studies
+    from navgym.tuning.benchmarks import auv, deck
+
+    return {"auv": auv.auv, "deck": deck.deck}[name]
