@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING, Any
+
+from sphinx.util.inspect import TypeAliasForwardRef
 
 import navgym
 from navgym.problem import REGISTERED
@@ -32,6 +33,7 @@ autodoc_typehints_format = "short"
 autodoc_type_aliases = {
     name: name for name in ("Array", "ArrayLike", "NDArray", "Parameters", "Span", "Where")
 }
+TypeAliasForwardRef.__repr__ = lambda self: self.name  # else signatures say how Sphinx keeps it
 autodoc_preserve_defaults = True
 napoleon_numpy_docstring = False
 napoleon_use_rtype = False
@@ -72,8 +74,7 @@ def _signature(
     """Make a signature what Sphinx can parse; a protocol's says nothing."""
     if what == "class" and given == "(*args, **kwargs)":
         return "", ""
-    plain = re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", given or "")
-    return (plain.replace("<factory>", "..."), returned) if given else None
+    return (given.replace("<factory>", "..."), returned) if given else None
 
 
 def setup(app: Sphinx) -> None:

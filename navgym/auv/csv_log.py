@@ -41,8 +41,8 @@ def read_csv(
     truth_px, truth_vx ...  optional: true states, in every row; in place of missing true
                             velocities stand differences of the true positions
     lost, lost_px ...       optional: 1 or true where the sample, or a component, was lost
-    regime, process_scale,  optional: as in `Recording`
-    measurement_scale
+    regime                  optional: as in `Recording`; so are process_scale and
+                            measurement_scale
     ======================  ====================================================================
 
     A `model` that measures something else names its columns z1, z2, ... and, unless its states are
