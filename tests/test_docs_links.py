@@ -11,6 +11,8 @@ PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 MADE = ("build", "dist", "runs", "site")  # folders that commands write
 WRITTEN = {".md", ".py", ".toml", ".cff", ".txt", ".ipynb"}
 LINK = re.compile(r"\]\((?![a-z]+:)([^)\s]+)\)")
+PATH = re.compile(r"(?<![\w./-])((?:agents|docs|navgym|scripts|tests|tuning)/[\w./-]*\w)")
+OTHER = re.compile(r"\b[A-Z]{4,}\b|-v\d+$")  # navgym/NAME, and ids of environments
 CITATION = re.compile(r"docs/[a-z0-9/-]+\.md(?:#[\w-]+)?")
 
 
@@ -62,6 +64,19 @@ def test_every_link_of_a_page_leads_somewhere(page):
     links = LINK.findall(prose(page))
     faults = [fault(t, page if t.startswith("#") else page.parent) for t in links]
     assert not list(filter(None, faults))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_every_file_that_a_page_names_exists(page):
+    """In text and in commands; a policy is named without its ending."""
+    named = set(PATH.findall(page.read_text("utf-8")))
+    places = (ROOT, page.parent)  # a link of the page is relative to it
+    assert not sorted(
+        name
+        for name in named
+        if not OTHER.search(name)
+        and not any((base / f"{name}{end}").exists() for base in places for end in ("", ".npz"))
+    )
 
 
 def test_every_heading_that_code_cites_exists():
