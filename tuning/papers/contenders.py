@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from navgym.tuning.comparison import Entry
-
 import navgym
 from navgym.auv.problem import PROBLEM
 from navgym.core.checks import Array
 from navgym.statespace.recording import Recording
+from navgym.tuning.comparison import Entry
 
 # what an untuned reader of the paper would type (it gives none of them)
 UNTUNED = {

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from navgym.tuning.cases import Cases
 from numpy.typing import NDArray
 
 from navgym.core.checks import Array
 from navgym.deck.errors import DeckErrors, deck_errors
+from navgym.deck.recording import DualIMURecording
+from navgym.inertial.flexure import FlexureModel
 from navgym.metrics import PairedDifference, paired_difference
 from navgym.problem import Filter
+from navgym.tuning.cases import Cases
+
+AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,12 +30,14 @@ class Performance:
         diverged: (N,) flags.
         flexures: models identified on the way, per run.
         microseconds: per filter step, everything included.
+        first: (K, 24) states on the first recording, for figures over time.
     """
 
     errors: DeckErrors
     diverged: NDArray[np.bool_]
     flexures: Sequence[Any]
     microseconds: float
+    first: Array
 
     def mean(self, quantity: str, axis: int | None = None) -> float:
         """Mean over runs of the RMSE of a quantity: of its length, or of one axis."""
@@ -67,4 +73,43 @@ def try_out(
     run = cases.problem.run(filter_name, cases.batch, parameters, decision_interval)
     spent = time.perf_counter() - began
     errors = deck_errors(cases.batch, run.states, attitude=attitude)
-    return Performance(errors, run.diverged, run.extras["flexures"], 1e6 * spent / cases.samples)
+    first = run.states[0, : cases.batch.lengths[0]].copy()
+    pace = 1e6 * spent / cases.samples
+    return Performance(errors, run.diverged, run.extras["flexures"], pace, first)
+
+
+def with_flexure(recording: DualIMURecording, flexure: FlexureModel) -> DualIMURecording:
+    """The same recording for a filter that believes another flexure."""
+    model = replace(recording.model, flexure=flexure)
+    return replace(recording, model=model, check_units=False)
+
+
+# ---- as text and JSON
+
+
+def shown(trial: Performance, quantity: str, axis: int | None = None) -> str:
+    """Mean with half its interval."""
+    return f"{trial.mean(quantity, axis):.2f} ± {trial.half(quantity, axis):.2f}"
+
+
+def gain(trial: Performance, base: Performance, quantity: str) -> str:
+    """Paired gain over `base` in per cent, with its 95 % interval."""
+    if trial is base:
+        return "–"
+    g = trial.against(base, quantity)
+    return f"{100 * g.relative_gain:+.1f} ({100 * g.gain_low:+.1f} to {100 * g.gain_high:+.1f})"
+
+
+def summary(trial: Performance) -> dict[str, Any]:
+    """A trial as JSON."""
+    return {
+        "runs": len(trial.diverged),
+        "diverged": float(np.mean(trial.diverged)),
+        "microseconds": trial.microseconds,
+        "mean": {q: _number(trial.mean(q)) for q in trial.errors.norm},
+        "axes": {q: [_number(trial.mean(q, a)) for a in range(3)] for q in trial.errors.axes},
+    }
+
+
+def _number(value: float) -> float | None:
+    return value if np.isfinite(value) else None

@@ -40,3 +40,28 @@ SWITCH_GAIN = 32.0  # % of θ̇, schedule against best fixed
 # RepoIMU: angular frequency of the relative swing by the optical reference, rad/s:
 # docs/science/data.md#repoimu
 PENDULUM: Mapping[str, float] = {"Test03_Trial1": 4.227, "Test05_Trial2": 4.186}
+
+# docs/science/idam.md, correntropy and model prediction: widths that are best, change of θ in %
+GLITCH_WIDTHS = (2.0, 5.0)
+SLAM_WIDTH = 20.0  # or more
+PREDICTION_THETA = (-4.0, 5.0)
+
+# docs/science/idam.md, identification where the sea changes: θ_ac in %, won by the truth, lost by short windows
+SEA_TRUE = (18.0, 24.0)
+SEA_IDENTIFIED = (46.0, 122.0)
+
+# what the paper prints beside its figures
+PAPER_GAINS: Mapping[str, float] = {
+    "woam": 15.34,
+    "svram": 35.06,
+}  # % by which IDAM is better, section 5
+PAPER_SEA: Mapping[str, tuple[float, float, float]] = {  # figure 10: RMSE in roll, pitch, heading
+    "svram": (5.155, 5.098, 25.143), "woam": (0.828, 1.914, 10.735), "idam": (0.797, 1.852, 9.589),
+}  # fmt: skip
+PAPER_SEA_GAINS: Mapping[tuple[str, str], tuple[float, float, float]] = {  # %, the first over the second
+    ("woam", "svram"): (83.94, 62.46, 57.30), ("idam", "woam"): (3.74, 3.24, 10.68),
+}  # fmt: skip
+INSTALLED = (
+    (-0.041, 0.430, -0.250),
+    (-0.029, 0.525, 0.330),
+)  # table 2: pitch, roll, heading in degrees
