@@ -29,13 +29,13 @@ conditions leave to win: best fixed parameters, table by true regime, IMM, oracl
 the wide IMM, off its design too; nonlinear filters on a coordinated turn; and real AUV tracks, where
 the A-KIT data are at hand. Figures are from test seeds; what was tuned was tuned on training seeds
 and chosen on validation seeds, in studies whose journals under --out resume an interrupted run.
-Writes auv.html and auv.json to --out. Expected figures: docs/science/qivbf.md.
+Writes auv.html and auv.json to --out. Expected figures: the documentation, Science, QIVBF.
 
 deck: IDAM against WOAM and SVRAM in the paper's setting, with enough seeds to tell (IDAM section 5); what
 can be known of the deformation at all, the lever arm, identification by every method, correntropy and
 model prediction; switching conditions and a changing sea; and a real pendulum and a real quadrotor,
-where the RepoIMU and multi-IMU data are at hand. Writes deck.html and deck.json. Expected figures:
-docs/science/idam.md.
+where the RepoIMU and multi-IMU data are at hand. Writes deck.html and deck.json. Expected
+figures: the documentation, Science, IDAM.
 """
 DECK_SETS = {"repoimu": "RepoIMU", "multi_imu": "multi-IMU"}
 

@@ -30,7 +30,7 @@ ABOUT = """Find the parameters of a filter, and say how much they gain on data t
    navgym.estimate(filter, recording, "tuned.toml") and the environments' reference= read.
 
 --config FILE reads any of the options from a TOML file first, such as the settings.toml that each
-study writes; what is given beside it counts. Many machines: docs/tuning-at-scale.md.
+study writes; what is given beside it counts. Many machines: see the documentation, Tuning at scale.
 """
 
 
