@@ -94,7 +94,7 @@ def _losses_section(found: Mapping[str, Comparison], checks: list[Check]) -> Sec
     limit = rms(steady_state(LinearModel()).filtered, (0, 2))
     ours = by_name["nominal without loss, kf"]
     text = [
-        "QIVBF beside the Kalman filter where the noise is not the model's. " + _claims(found),
+        "Under other noise than the model's, " + _claims(found),
         "Untuned: N_VB 10, τ 5, ρ .97, ν0 5, r0 1, q 1; `vbakf` predicts only, `qivbf` "
         "extrapolates with Σl² R. `kf` predicts only. The prototype's column “fill as data” is "
         "left out: it gives a filled value the weight of a measurement, and no parameter does "
