@@ -9,6 +9,10 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, VecNormalize
+
+import navgym
 from navgym.agents.combiner.combiner import BANK, Combiner
 from navgym.agents.live.streaming import SelfTuningFilter
 from navgym.agents.policies.manifest import Manifest
@@ -19,10 +23,6 @@ from navgym.agents.training.material import material
 from navgym.agents.training.vec_env import LaneVecEnv
 from navgym.tuning.benchmarks.timing import Row, measured, paired
 from navgym.tuning.cases import Cases
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, VecNormalize
-
-import navgym
 
 FEW = 16  # single environments that stand for the usual way
 CALLS = 2000

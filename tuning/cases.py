@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from navgym.tuning.study.recipes import Recipe, remake, travelling
 from numpy.typing import NDArray
 
 from navgym.core.checks import Array
@@ -16,6 +15,7 @@ from navgym.core.seeds import seeds
 from navgym.metrics.measures import BLIND, Judged, bounded, innovation_quantities
 from navgym.problem import Problem, Run, problem_of
 from navgym.simulation import find_scenario, simulate_many
+from navgym.tuning.study.recipes import Recipe, remake, travelling
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from tqdm import tqdm
+
+import navgym
+from navgym.auv.problem import PROBLEM, STEERED, TRACKS
+from navgym.simulation import find_scenario
 from navgym.tuning.cases import Cases
 from navgym.tuning.comparison import Comparison, Entry, compare
 from navgym.tuning.experiments import (
@@ -21,11 +26,6 @@ from navgym.tuning.papers.contenders import UNTUNED, bank_beliefs, linear_filter
 from navgym.tuning.report import plots, tables, words
 from navgym.tuning.report.page import Figure, Page, Section, Table, Tile
 from navgym.tuning.study.run import Outcome, Trial
-from tqdm import tqdm
-
-import navgym
-from navgym.auv.problem import PROBLEM, STEERED, TRACKS
-from navgym.simulation import find_scenario
 
 SCENARIO = "auv/switch-D"
 DEFAULT, TUNED, UNTUNED_LABEL = "qivbf", "qivbf, tuned", "qivbf, untuned"

@@ -8,6 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+import navgym
+from navgym.core.checks import Array
+from navgym.problem import Problem, Steering, Tracks, problem_of
 from navgym.tuning.cases import Cases
 from navgym.tuning.comparison import Comparison, Entry
 from navgym.tuning.objectives import Objective
@@ -15,10 +19,6 @@ from navgym.tuning.schedule import RegimeTable
 from navgym.tuning.study.recipes import travelling
 from navgym.tuning.study.run import Outcome, Search, Trial, search
 from navgym.tuning.study.selection import confirm
-
-import navgym
-from navgym.core.checks import Array
-from navgym.problem import Problem, Steering, Tracks, problem_of
 
 # ---- tuning
 

@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from navgym.tuning.cases import Cases
 
 from navgym.core.checks import Array, one_of
 from navgym.core.parameters import Parameter, ParameterSpace
 from navgym.metrics.measures import METRICS, Measure, bounded
 from navgym.problem import Batch, Problem, problem_of
+from navgym.tuning.cases import Cases
 
 
 class Goal(Protocol):

@@ -10,12 +10,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from navgym.tuning.cases import Cases
-from navgym.tuning.objectives import Evaluation, checked_measure, plain_quantities
 
 from navgym.core.checks import Array
 from navgym.core.parameters import ParameterSpace
 from navgym.metrics.measures import METRICS, bounded
+from navgym.tuning.cases import Cases
+from navgym.tuning.objectives import Evaluation, checked_measure, plain_quantities
 
 
 class RegimeTable:

@@ -8,16 +8,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from navgym.tuning.objectives import find_measure, narrowed
-from navgym.tuning.study.run import STUDY
-from navgym.tuning.study.search_space import SAMPLERS
-
 from navgym.core.checks import one_of, positive_int
 from navgym.core.parameters import Parameter
 from navgym.metrics.measures import METRICS
 from navgym.problem import Amount, Problem, problem_of, problems, problems_with
 from navgym.readers import formats
 from navgym.simulation import scenarios
+from navgym.tuning.objectives import find_measure, narrowed
+from navgym.tuning.study.run import STUDY
+from navgym.tuning.study.search_space import SAMPLERS
 
 ALL = "all"
 # of real tracks, runs are draws of noise and losses per track and loss rate

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from navgym.problem import Amount, Problem
+from navgym.readers import read
 from navgym.tuning.cases import Cases
 from navgym.tuning.experiments import real_cases
 from navgym.tuning.settings import StudySettings
 from navgym.tuning.study.recipes import travelling
-
-from navgym.problem import Amount, Problem
-from navgym.readers import read
 
 # shares of a log that is tuned on up to here, and chosen among leaders up to there
 TUNED, CHOSEN = 0.5, 0.7

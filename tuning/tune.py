@@ -9,6 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tqdm import tqdm
+
+from navgym.metrics.measures import CONSISTENCY, LIKELIHOOD
+from navgym.simulation import find_scenario
+from navgym.tuned import read_tuned
 from navgym.tuning.cases import Cases
 from navgym.tuning.comparison import Comparison, Entry, compare
 from navgym.tuning.objectives import Costed, InstanceGoal, Objective, Pooled, find_measure
@@ -19,11 +24,6 @@ from navgym.tuning.study.executors import workers
 from navgym.tuning.study.run import Outcome, Search, Trial, search
 from navgym.tuning.study.selection import TOP, confirm
 from navgym.tuning.study.sensitivity import Sweep, importances, sweeps
-from tqdm import tqdm
-
-from navgym.metrics.measures import CONSISTENCY, LIKELIHOOD
-from navgym.simulation import find_scenario
-from navgym.tuned import read_tuned
 
 DEFAULT, TUNED = "{}, default", "{}, tuned"
 KNOWN, TRUTH = "{}, best known", "{}, tuned with the truth"

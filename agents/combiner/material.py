@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from navgym.agents.combiner.combiner import combines, modes, space
-from navgym.agents.training.randomisation import drawn
 from numpy.typing import NDArray
 
+from navgym.agents.combiner.combiner import combines, modes, space
+from navgym.agents.training.randomisation import drawn
 from navgym.auv.conditions import AUVRanges
 from navgym.core.checks import positive_int, within
 from navgym.core.seeds import seeds

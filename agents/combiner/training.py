@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
 from navgym.agents.combiner.combiner import Combiner, bank_facts, modes
 from navgym.agents.combiner.material import (
     AT_ONCE,
@@ -24,7 +25,6 @@ from navgym.agents.combiner.material import (
 from navgym.agents.training import checkpoints
 from navgym.agents.training.checkpoints import Checkpoint, Report
 from navgym.agents.training.record import versions
-
 from navgym.core.atomic import writable_folder
 from navgym.core.checks import Array
 from navgym.core.seeds import seeds

@@ -11,15 +11,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
-from navgym.agents.evaluation.regime_tables import rows_by_regime
-from navgym.agents.evaluation.rollout import problem_in
-from navgym.tuning.comparison import Entry
 from numpy.typing import NDArray
 
+from navgym.agents.evaluation.regime_tables import rows_by_regime
+from navgym.agents.evaluation.rollout import problem_in
 from navgym.core.checks import Array
 from navgym.core.parameters import Parameter
 from navgym.envs.rules import HandRule
 from navgym.problem import Problem
+from navgym.tuning.comparison import Entry
 
 
 class Baseline:

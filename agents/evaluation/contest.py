@@ -8,16 +8,16 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+
 from navgym.agents.combiner.combiner import Combiner
 from navgym.agents.evaluation.rollout import Chooser, replay_filter, roll_out
 from navgym.agents.evaluation.streamed import stream
 from navgym.agents.policies.policy import Policy
-from navgym.tuning.cases import Cases
-from navgym.tuning.comparison import Comparison, Entry
-from numpy.typing import NDArray
-
 from navgym.core.checks import Array
 from navgym.problem import Contest, Filter
+from navgym.tuning.cases import Cases
+from navgym.tuning.comparison import Comparison, Entry
 
 OWN, SHIFT, OTHER, REAL = "own", "shift", "other", "real"
 BEST_FIXED, DEFAULT, HAND_RULE = "best fixed", "default", "hand rule"

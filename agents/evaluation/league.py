@@ -9,6 +9,8 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+
 from navgym.agents.combiner.combiner import BANK, Combiner, combines
 from navgym.agents.evaluation.baselines import Random, TrueRegime, hand_rule, whole_filters
 from navgym.agents.evaluation.contest import (
@@ -33,15 +35,13 @@ from navgym.agents.evaluation.contest import (
 from navgym.agents.evaluation.regime_tables import tables
 from navgym.agents.evaluation.rollout import Learnt, problem_in
 from navgym.agents.policies.policy import Policy
-from navgym.tuning.cases import Cases
-from navgym.tuning.comparison import Entry
-from navgym.tuning.experiments import cross_tuned, per_track, real_cases
-from numpy.typing import NDArray
-
 from navgym.core.checks import Array
 from navgym.metrics import consistency
 from navgym.problem import Problem, Run, Tracks
 from navgym.simulation import find_scenario
+from navgym.tuning.cases import Cases
+from navgym.tuning.comparison import Entry
+from navgym.tuning.experiments import cross_tuned, per_track, real_cases
 
 TRACK_TRIALS, QUICK_TRIALS = 40, 5  # of the study on the other fold of the tracks
 

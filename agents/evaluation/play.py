@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from navgym.agents.evaluation.contest import BEST_FIXED, OWN, Condition, Contender, Labels, Result
-from navgym.agents.evaluation.league import League
-from navgym.tuning.comparison import Comparison, Entry, rows_of
 from numpy.typing import NDArray
 
+from navgym.agents.evaluation.contest import BEST_FIXED, OWN, Condition, Contender, Labels, Result
+from navgym.agents.evaluation.league import League
 from navgym.core.checks import Array
+from navgym.tuning.comparison import Comparison, Entry, rows_of
 
 
 @dataclass(eq=False)

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
-from navgym.agents.evaluation.contest import Result
-from navgym.tuning.report import plots
-from navgym.tuning.report.page import Figure
 
+from navgym.agents.evaluation.contest import Result
 from navgym.core.checks import Array
 from navgym.core.parameters import ParameterSpace
+from navgym.tuning.report import plots
+from navgym.tuning.report.page import Figure
 
 
 def traces(

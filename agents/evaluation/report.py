@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+
 from navgym.agents.evaluation import plots as evaluation_plots
 from navgym.agents.evaluation.contest import (
     BEST_FIXED,
@@ -30,12 +31,11 @@ from navgym.agents.evaluation.tables import (
     verdict_table,
 )
 from navgym.agents.evaluation.verdicts import COMBINED, Bench, Verdict, beaten
+from navgym.problem import Problem
+from navgym.simulation import find_scenario
 from navgym.tuning.comparison import Comparison
 from navgym.tuning.report import plots, words
 from navgym.tuning.report.page import Figure, Page, Section, Table, Tile
-
-from navgym.problem import Problem
-from navgym.simulation import find_scenario
 
 SCORING = (
     "A policy is better if the 95 % interval of its paired gain over the best fixed parameters (BCa "

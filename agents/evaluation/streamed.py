@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+
 from navgym.agents.live.streaming import SelfTuningFilter
 from navgym.agents.policies.policy import Policy
-
 from navgym.core.checks import Array
 
 

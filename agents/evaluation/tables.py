@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+
 from navgym.agents.evaluation.contest import (
     AS_TRAINED,
     BEST_FIXED,
@@ -19,11 +20,10 @@ from navgym.agents.evaluation.contest import (
     Result,
 )
 from navgym.agents.evaluation.verdicts import Bench, Verdict
+from navgym.core.checks import Array
 from navgym.tuning.comparison import Comparison, Row
 from navgym.tuning.report import tables, words
 from navgym.tuning.report.page import Table
-
-from navgym.core.checks import Array
 
 
 def learners(bench: Bench) -> list[str]:

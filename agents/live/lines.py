@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from navgym.agents.live.streaming import SelfTuningFilter, Steering
 
+from navgym.agents.live.streaming import SelfTuningFilter, Steering
 from navgym.auv.csv_log import ANNOTATIONS, STATES, default_model, lost_flags, measured_columns
 from navgym.core.checks import Array, one_of, within
 from navgym.core.tables import Table

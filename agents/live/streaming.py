@@ -7,9 +7,9 @@ from types import MappingProxyType
 from typing import Any, Protocol
 
 import numpy as np
-from navgym.agents.live.fallback import FallbackRule, Guard
 from numpy.typing import NDArray
 
+from navgym.agents.live.fallback import FallbackRule, Guard
 from navgym.core.checks import Array
 from navgym.envs.live import CONTROLLED, REFERENCE, LiveEstimate, LiveLane
 from navgym.problem import Problem, problems

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from navgym.agents.training.configuration import Configuration
-from navgym.agents.training.vec_env import LaneVecEnv
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
+from navgym.agents.training.configuration import Configuration
+from navgym.agents.training.vec_env import LaneVecEnv
 from navgym.core.checks import Array
 
 CANDIDATES = 16  # tables that are tried side by side, a group of lanes each

@@ -10,10 +10,9 @@ from typing import Any
 
 from navgym.agents.training.configuration import Configuration, Recipe, comparable
 from navgym.agents.training.run import train
-from navgym.tuning.study.run import Outcome, search
-
 from navgym.core.checks import positive_int
 from navgym.core.parameters import Parameter, ParameterSpace
+from navgym.tuning.study.run import Outcome, search
 
 _RANGES = (
     Parameter("learning_rate", "α", "1", 1e-4, 5e-3, "log", 1e-3),

@@ -8,11 +8,12 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from navgym.agents.training.configuration import Configuration
-from navgym.agents.training.vec_env import LaneVecEnv
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
+
+from navgym.agents.training.configuration import Configuration
+from navgym.agents.training.vec_env import LaneVecEnv
 
 # name: module, class and policy
 ALGORITHMS: Mapping[str, tuple[str, str, str]] = MappingProxyType(

@@ -6,11 +6,11 @@ import dataclasses
 from typing import Any
 
 import numpy as np
+
 from navgym.agents.training.configuration import Configuration
 from navgym.agents.training.randomisation import drawn
 from navgym.agents.training.validation import engine_on
 from navgym.agents.training.vec_env import LaneVecEnv
-
 from navgym.core.seeds import seeds
 from navgym.simulation import find_scenario, simulate_many
 

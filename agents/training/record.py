@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from importlib import metadata
 from typing import Any
 
-from navgym.agents.policies.policy import Policy
 from numpy.typing import NDArray
 
 import navgym
+from navgym.agents.policies.policy import Policy
 
 LIBRARIES = ("numpy", "numba", "torch", "stable-baselines3", "sb3-contrib")
 NAME = "best"  # of the best policy among a checkpoint's arrays

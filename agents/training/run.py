@@ -15,7 +15,6 @@ from navgym.agents.training.checkpoints import Checkpoint, Report
 from navgym.agents.training.configuration import Configuration, comparable, current
 from navgym.agents.training.record import Mark, versions
 from navgym.agents.training.trainer import Trainer
-
 from navgym.core.atomic import replacing, writable_folder
 
 

@@ -9,6 +9,11 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import configure
+from stable_baselines3.common.vec_env import VecNormalize
+
 from navgym.agents.policies.manifest import Manifest
 from navgym.agents.policies.policy import Policy
 from navgym.agents.training import checkpoints, learners
@@ -18,11 +23,6 @@ from navgym.agents.training.learning_curve import write_curve
 from navgym.agents.training.material import material
 from navgym.agents.training.record import Best, Mark, versions
 from navgym.agents.training.validation import Scores, Validation, plain
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import configure
-from stable_baselines3.common.vec_env import VecNormalize
-
 from navgym.core.atomic import replacing
 
 

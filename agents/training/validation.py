@@ -9,11 +9,11 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from navgym.agents.evaluation.rollout import problem_in
 from navgym.agents.training.configuration import Configuration
 from navgym.agents.training.randomisation import drawn
-from numpy.typing import ArrayLike, NDArray
-
 from navgym.core.checks import Array
 from navgym.core.seeds import seeds
 from navgym.envs.base import INFORMATION, TERMINATED, TRUNCATED, LaneEngine

@@ -1,10 +1,10 @@
 """Policies made by hand: linear in a few observations."""
 
 import numpy as np
+
 from navgym.agents.evaluation.rollout import problem_in
 from navgym.agents.policies.manifest import Manifest
 from navgym.agents.policies.policy import Policy
-
 from navgym.simulation import find_scenario
 
 

@@ -1,6 +1,7 @@
 """What tests of live filters share: policies made at random, episodes, estimates side by side."""
 
 import numpy as np
+
 from navgym.agents.policies.manifest import Manifest
 from navgym.agents.policies.policy import Policy
 

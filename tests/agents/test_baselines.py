@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from navgym.agents.evaluation import regime_tables
 from navgym.agents.evaluation.baselines import (
     Fixed,
@@ -11,7 +12,6 @@ from navgym.agents.evaluation.baselines import (
     whole_filters,
 )
 from navgym.agents.evaluation.rollout import Learnt, engine_for, replay_filter, roll_out
-
 from navgym.deck.batch import DeckBatch
 from navgym.envs.base import INFORMATION, TERMINATED, TRUNCATED
 from navgym.problem import PROBLEMS, problem_of

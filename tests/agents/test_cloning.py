@@ -14,7 +14,6 @@ from navgym.agents.training.cloning import Regimes, find_teacher
 from navgym.agents.training.configuration import Cloning
 from navgym.agents.training.material import material
 from navgym.agents.training.run import train
-
 from tests.agents.small import RECIPE, quiet, tiny
 
 

@@ -9,18 +9,18 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
-from navgym.agents import Combiner
-from navgym.agents.combiner.combiner import KIND, bank_facts
-from navgym.agents.policies import portable
-from navgym.tuning.cases import Cases
 from scipy.special import expit
 
 import navgym
+from navgym.agents import Combiner
+from navgym.agents.combiner.combiner import KIND, bank_facts
+from navgym.agents.policies import portable
 from navgym.auv.scenarios import Loss
 from navgym.simulation import simulate_many
 from navgym.statespace.batch import Batch
 from navgym.statespace.filters import combiner as kernels
 from navgym.statespace.filters.bank import BANK
+from navgym.tuning.cases import Cases
 from tests.agents.both import run
 from tests.helpers import NAMES, identical, run_bank
 from tests.twins import bank as twin

@@ -21,10 +21,9 @@ from navgym.agents.policies.policy import Policy
 from navgym.agents.training.configuration import Configuration, markdown, presets
 from navgym.agents.training.randomisation import drawn
 from navgym.agents.training.run import train
-from navgym.tuning.report import page as report
-
 from navgym.problem import PROBLEMS, problems
 from navgym.simulation import find_scenario, simulate_many
+from navgym.tuning.report import page as report
 from tests.agents import hand_made
 from tests.agents.small import RECIPE, quiet
 

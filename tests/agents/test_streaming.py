@@ -4,11 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+
+import navgym
 from navgym.agents.live.fallback import FallbackRule
 from navgym.agents.live.streaming import DIVERGED, SelfTuningFilter
 from navgym.agents.policies.policy import Policy
-
-import navgym
 from navgym.auv.environment import AUVDropoutEnv
 from tests.agents.both import AUV
 from tests.agents.live import episode, parameters, schedule, some_policy, stacked

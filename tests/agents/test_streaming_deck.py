@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from navgym.agents.live.streaming import SelfTuningFilter
 
 import navgym
+from navgym.agents.live.streaming import SelfTuningFilter
 from navgym.deck.alignment import THETA
 from navgym.deck.batch import DeckBatch
 from navgym.deck.environment import DeckDeformationEnv

@@ -7,9 +7,8 @@ pytest.importorskip("stable_baselines3")
 pytest.importorskip("tyro")
 pytest.importorskip("tomli_w")
 
-from navgym.agents.training.validation import LOST, Validation, gain, half_width, play
-
 import navgym
+from navgym.agents.training.validation import LOST, Validation, gain, half_width, play
 from navgym.core.seeds import seeds
 from navgym.envs.actions import fill_rows
 from navgym.metrics import paired_difference, run_rmse, squared_error

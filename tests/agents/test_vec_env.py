@@ -7,7 +7,6 @@ import pytest
 import navgym
 
 pytest.importorskip("stable_baselines3")
-from navgym.agents.training.vec_env import LaneVecEnv, lane_vec_env
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.evaluation import evaluate_policy
@@ -19,6 +18,7 @@ from stable_baselines3.common.vec_env import (
     VecNormalize,
 )
 
+from navgym.agents.training.vec_env import LaneVecEnv, lane_vec_env
 from navgym.problem import problems
 
 # of a problem without arguments of its own here: recordings of some decisions

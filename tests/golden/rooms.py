@@ -16,11 +16,11 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from navgym.agents.live.fallback import FallbackRule
 from scipy.spatial.transform import Rotation
 
 import navgym
 from navgym import agents, metrics
+from navgym.agents.live.fallback import FallbackRule
 from navgym.identification import METHODS
 from navgym.problem import REGISTERED
 

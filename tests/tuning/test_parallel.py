@@ -7,12 +7,12 @@ import time
 
 import psutil
 import pytest
+
 from navgym.tuning.cases import Cases
 from navgym.tuning.objectives import Objective
 from navgym.tuning.study import executors, search_space
 from navgym.tuning.study.executors import workers
 from navgym.tuning.study.run import Search, search
-
 from tests.tuning.goals import Bowls, Fatal, Worker, results
 
 

@@ -6,15 +6,15 @@ import pickle
 
 import numpy as np
 import pytest
+
+from navgym.problem import PROBLEMS
+from navgym.tuned import read_tuned
 from navgym.tuning import tune
 from navgym.tuning.cases import Cases
 from navgym.tuning.headroom import FIXED, headroom
 from navgym.tuning.objectives import Objective
 from navgym.tuning.report import study as tune_report
 from navgym.tuning.settings import StudySettings
-
-from navgym.problem import PROBLEMS
-from navgym.tuned import read_tuned
 
 
 def brief(problem):

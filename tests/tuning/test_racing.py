@@ -4,13 +4,13 @@ import functools
 
 import numpy as np
 import pytest
+
+from navgym.metrics.measures import METRICS
 from navgym.tuning.cases import Cases
 from navgym.tuning.objectives import Evaluation, Objective, Pooled
 from navgym.tuning.study import racing
 from navgym.tuning.study.racing import LOOKS, Leader, race
 from navgym.tuning.study.run import Search, search
-
-from navgym.metrics.measures import METRICS
 from tests.tuning.goals import Bowls
 
 COUNT = 40

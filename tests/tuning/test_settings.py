@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+
 from navgym.tuning import declared
 from navgym.tuning.commands import parse as command
 from navgym.tuning.settings import StudySettings

@@ -16,11 +16,11 @@ from pathlib import Path
 import optuna
 import psycopg
 import pytest
+from optuna.trial import TrialState
+
 from navgym.tuning.study import search_space
 from navgym.tuning.study.run import Search, search
 from navgym.tuning.study.storage import RETRIES, opened, try_again
-from optuna.trial import TrialState
-
 from tests.tuning.goals import GRACE, Bowl, Doing, Worker, results
 
 pytestmark = pytest.mark.filterwarnings("ignore::optuna.exceptions.ExperimentalWarning")

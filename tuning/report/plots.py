@@ -19,13 +19,13 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullLocator
-from navgym.tuning.comparison import Comparison, Row
-from navgym.tuning.report.page import Figure
-from navgym.tuning.study.run import Outcome
 from numpy.typing import NDArray
 
 from navgym.core.checks import Array
 from navgym.statespace.recording import Recording
+from navgym.tuning.comparison import Comparison, Row
+from navgym.tuning.report.page import Figure
+from navgym.tuning.study.run import Outcome
 
 INK = "#010203"  # stands for the page's text colour
 FAINT = "#8b93a0"

@@ -10,13 +10,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.ticker import FuncFormatter, MaxNLocator
+
+from navgym.core.checks import Array
+from navgym.core.parameters import Parameter, ParameterSpace
 from navgym.tuning.report.page import Figure
 from navgym.tuning.report.plots import BEST, FAINT, INK, OWN, PLAIN, drawing
 from navgym.tuning.study.run import Outcome, Trial
 from navgym.tuning.study.sensitivity import Sweep
-
-from navgym.core.checks import Array
-from navgym.core.parameters import Parameter, ParameterSpace
 
 COLUMNS = 3  # panels in a row
 GOOD_TO_BAD = LinearSegmentedColormap.from_list("", [BEST, "#b9c4bd", "#d7a27c"])

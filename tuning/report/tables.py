@@ -6,10 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from navgym.core.parameters import ParameterSpace
 from navgym.tuning.comparison import Comparison, Row
 from navgym.tuning.report.page import Table
-
-from navgym.core.parameters import ParameterSpace
 
 NOTHING = "–"
 

@@ -8,13 +8,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import optuna
-from navgym.tuning.objectives import Goal
-from navgym.tuning.study.search_space import to_optuna
-from navgym.tuning.study.storage import Where, is_url, shown
 from optuna.storages import BaseStorage
 from optuna.trial import TrialState
 
 from navgym.core.parameters import ParameterSpace
+from navgym.tuning.objectives import Goal
+from navgym.tuning.study.search_space import to_optuna
+from navgym.tuning.study.storage import Where, is_url, shown
 
 GOAL = "navgym goal"  # the study's attribute that says what it is for
 

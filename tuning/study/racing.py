@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import optuna
-from navgym.tuning.objectives import Evaluation, Goal, InstanceGoal
 from numpy.typing import NDArray
 from optuna.trial import FrozenTrial, TrialState
 
 from navgym.core.checks import Array
+from navgym.tuning.objectives import Evaluation, Goal, InstanceGoal
 
 # Shares of the instances after which a candidate is looked at. Three looks at 5 % each give up about
 # one candidate in ten that is as good as the best (Pocock's correction for three looks at 10 %).

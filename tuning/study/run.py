@@ -25,6 +25,14 @@ from typing import Any
 
 import numpy as np
 import optuna
+from optuna.exceptions import UpdateFinishedTrialError
+from optuna.storages import BaseStorage
+from optuna.trial import FrozenTrial, TrialState
+from tqdm import tqdm
+
+from navgym.core.checks import one_of, positive_int
+from navgym.core.parameters import ParameterSpace
+from navgym.metrics.measures import METRICS
 from navgym.tuning.objectives import Evaluation, Goal, InstanceGoal
 from navgym.tuning.study import racing
 from navgym.tuning.study.identity import enqueue, open_study
@@ -41,14 +49,6 @@ from navgym.tuning.study.storage import (
     try_again,
     unreachable,
 )
-from optuna.exceptions import UpdateFinishedTrialError
-from optuna.storages import BaseStorage
-from optuna.trial import FrozenTrial, TrialState
-from tqdm import tqdm
-
-from navgym.core.checks import one_of, positive_int
-from navgym.core.parameters import ParameterSpace
-from navgym.metrics.measures import METRICS
 
 STUDY = "navgym"  # the usual name: one study per journal
 # attributes of trials: losses per instance, instances seen before the trial was given up, its worker

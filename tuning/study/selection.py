@@ -6,12 +6,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from navgym.core.parameters import ParameterSpace
+from navgym.metrics.measures import METRICS
 from navgym.tuning.objectives import Evaluation, Goal, InstanceGoal
 from navgym.tuning.study.racing import evaluate
 from navgym.tuning.study.run import Outcome, Trial
-
-from navgym.core.parameters import ParameterSpace
-from navgym.metrics.measures import METRICS
 
 TOP = 8  # trials that are looked at again
 
