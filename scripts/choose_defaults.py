@@ -10,25 +10,26 @@ Where the vehicle does not move as the model says, adaptive filters may lock out
 bad as the plain filter's are priced there. `references` minimises the
 error of each scenario alone: what a tuner reaches who knows the conditions, and the zero line of
 the environments. The best trials are looked at again on validation seeds, rounded, and reported on
-test seeds. The printed parameters belong into navgym/filters/spaces.py (defaults) and
-navgym/scenarios/auv.py (references). Journals under --out resume an interrupted run.
+test seeds. The printed parameters belong into navgym/statespace/filters/spaces.py (defaults) and
+navgym/auv/scenarios.py (references). Journals under --out resume an interrupted run.
 """
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+import tyro
+
+from navgym.auv.problem import PROBLEM
+from navgym.statespace.models import LinearModel
 from navgym.tuning.cases import Cases
 from navgym.tuning.objectives import GeometricMean, Guarded, Objective
 from navgym.tuning.report.page import write_json
 from navgym.tuning.study.run import search
 from navgym.tuning.study.selection import confirm, rounded
-
-from navgym.auv.problem import PROBLEM
-from navgym.statespace.models import LinearModel
 
 FILTER = "qivbf"
 # converged (docs/science/qivbf.md#parameters-that-matter), and what a step may cost
@@ -55,6 +56,26 @@ FIRST = tuple(
 )
 
 
+@dataclass(frozen=True)
+class Options:
+    """What was asked for."""
+
+    part: Annotated[Literal["both", "defaults", "references"], tyro.conf.Positional] = "both"
+    """what to choose"""
+    trials: int = 250
+    """per study"""
+    runs: int = 40
+    """recordings per trial"""
+    guard_runs: int = 200
+    """recordings of a guard"""
+    report_runs: int = 300
+    """fresh ones"""
+    seed: int = 0
+    """of the samplers"""
+    out: Path = Path("runs/defaults")
+    """folder of journals and results"""
+
+
 def scenarios() -> list[str]:
     """Names of the scenarios that the filter can run on."""
     return [
@@ -72,14 +93,14 @@ def objective(name: str, split: str, runs: int) -> Objective:
     return Objective(FILTER, FREE, Cases.simulated(name, split, runs), fixed=SWEEPS)
 
 
-def overall(split: str, options: argparse.Namespace) -> Guarded:
+def overall(split: str, options: Options) -> Guarded:
     """The geometric mean over the catalogue, relative to the plain Kalman filter, guarded."""
     members = [objective(name, split, options.runs) for name in scenarios()]
     mean = GeometricMean(members, [mean_error("kf", None, m.cases) for m in members])
     return Guarded(mean, [objective(name, split, options.guard_runs) for name in GUARDS])
 
 
-def choose_defaults(options: argparse.Namespace) -> dict[str, Any]:
+def choose_defaults(options: Options) -> dict[str, Any]:
     """The default parameters and what they do in each scenario on test seeds."""
     goal = overall("train", options)
     journal = options.out / "defaults.log"
@@ -90,9 +111,7 @@ def choose_defaults(options: argparse.Namespace) -> dict[str, Any]:
     return {"values": values, "errors": ladder({"best": (FILTER, values)}, options)}
 
 
-def ladder(
-    candidates: dict[str, tuple[str, Any]], options: argparse.Namespace
-) -> dict[str, dict[str, float]]:
+def ladder(candidates: dict[str, tuple[str, Any]], options: Options) -> dict[str, dict[str, float]]:
     """Mean position RMSE in m by scenario of `candidates` and what stands beside them."""
     beside: dict[str, tuple[str, Any]] = {
         "oracle": ("oracle", None),
@@ -114,7 +133,7 @@ def ladder(
     return rows
 
 
-def choose_references(options: argparse.Namespace) -> dict[str, Any]:
+def choose_references(options: Options) -> dict[str, Any]:
     """Best fixed parameters of each scenario, and their error on test seeds."""
     found = {}
     for name in scenarios():
@@ -132,19 +151,9 @@ def choose_references(options: argparse.Namespace) -> dict[str, Any]:
 
 def main() -> None:
     """Parse the command line and run."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("part", nargs="?", choices=["defaults", "references"], help="one part only")
-    parser.add_argument("--trials", type=int, default=250, help="per study (default: 250)")
-    parser.add_argument("--runs", type=int, default=40, help="recordings per trial (default: 40)")
-    parser.add_argument("--guard-runs", type=int, default=200, help="of a guard (default: 200)")
-    parser.add_argument("--report-runs", type=int, default=300, help="fresh ones (default: 300)")
-    parser.add_argument("--seed", type=int, default=0, help="of the samplers (default: 0)")
-    parser.add_argument("--out", type=Path, default=Path("runs/defaults"), help="%(default)s")
-    options = parser.parse_args()
+    options = tyro.cli(Options, prog="choose_defaults.py", description=__doc__)
     parts = {"defaults": choose_defaults, "references": choose_references}
-    chosen = [options.part] if options.part else list(parts)
+    chosen = list(parts) if options.part == "both" else [options.part]
     for part in chosen:
         write_json(options.out / f"{part}.json", parts[part](options))
     assert set(SWEEPS) <= set(PROBLEM.find(FILTER).space.names)
