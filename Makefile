@@ -8,7 +8,7 @@ RUN := $(VENV)/bin/python
 PIP := $(RUN) -m pip install --disable-pip-version-check --constraint constraints.txt
 WORKERS ?= 2
 
-.PHONY: demo test test-slow lint docs wheel setup clean
+.PHONY: demo test test-slow lint types docs wheel setup clean
 
 demo: $(VENV)/tuning
 	$(RUN) -m navgym.command warm auv
@@ -20,11 +20,13 @@ test: setup
 test-slow: setup
 	$(RUN) -m pytest -n $(WORKERS) -m slow
 
-# The type checker reads an installed copy: it does not follow an editable install's mapping of
-# navgym.agents and navgym.tuning to the folders of those names.
-lint: setup
+lint: setup types
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
+
+# The type checker reads an installed copy: it does not follow an editable install's mapping of
+# navgym.agents and navgym.tuning to the folders of those names.
+types: $(VENV)/everything
 	rm -rf build/lib build/typed
 	$(PIP) --quiet --no-deps --target build/typed .
 	cd build/typed && ../../$(VENV)/bin/mypy --config-file ../../pyproject.toml --cache-dir ../mypy

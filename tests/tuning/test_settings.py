@@ -14,7 +14,8 @@ LOG = "time,px,vx,py,vy\n" + "".join(f"{k},{k},1,{2 * k},2\n" for k in range(40)
 
 
 def parse(*arguments):
-    return command.parse(StudySettings, "doc", arguments)
+    default, rest = command.configured(StudySettings, arguments)
+    return command.parse(StudySettings, "tune", "doc", rest, default)
 
 
 def test_without_arguments_the_variational_filter_is_tuned_on_switching_noise():

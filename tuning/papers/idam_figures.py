@@ -248,7 +248,7 @@ def attitude(trials: Trials) -> Part:
         float(np.linalg.norm(expected.ORACLE_ATTITUDE) / np.linalg.norm(expected.ORACLE_THETA)),
         small, 0.0, 0.1, smaller_is_fine=True,
     )  # fmt: skip
-    items = [_attitude_figure(trials), check_table([check])]
+    items: list[Table | Figure] = [_attitude_figure(trials), check_table([check])]
     section = Section("Figure 5: the attitude error", told([finding]), items)
     return Part(section, (check,), {}, (finding,), len(trials.cases))
 
@@ -301,7 +301,7 @@ def numbers(trials: Trials) -> Part:
         "(θ̇: arcmin/s). sd: deviation of the z figure from seed to seed. The paper has one run and does "
         "not say which attitude its figure is; only θ is of its size."
     )
-    items = [_axes_figure(trials), _runs_figure(trials), Table(head, rows, caption), check_table(checks)]  # fmt: skip
+    items: list[Table | Figure] = [_axes_figure(trials), _runs_figure(trials), Table(head, rows, caption), check_table(checks)]  # fmt: skip
     section = Section("Figure 6 and the numbers of section 5", told(findings), items)
     done = {name: summary(t) for name, t in by_name.items()}
     return Part(section, tuple(checks), done, findings, len(trials.cases))

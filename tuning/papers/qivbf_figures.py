@@ -300,7 +300,7 @@ def error(seen: Traces, size: ReproductionAmount) -> Part:
     head = ["lost", *(f"{100 * rate:.0f} %" for rate in RATES)]
     caption = "Position RMSE in m over whole runs with its 95 % interval, or the share of runs that diverge."
     table = Table(head, rows, caption)
-    items = [_rmse_figure(seen, at), table, check_table([check])]
+    items: list[Table | Figure] = [_rmse_figure(seen, at), table, check_table([check])]
     section = Section("Figure 4: RMSE when measurements are lost", told([finding]), items)
     found = as_dict({f"{rate:g} lost": c for rate, c in at.items()})
     return Part(section, (check,), found, (finding,), size.runs)
