@@ -20,7 +20,7 @@ test: setup
 test-slow: setup
 	$(RUN) -m pytest -n $(WORKERS) -m slow
 
-lint: setup types
+lint: types
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 
@@ -31,7 +31,7 @@ types: $(VENV)/everything
 	$(PIP) --quiet --no-deps --target build/typed .
 	cd build/typed && ../../$(VENV)/bin/mypy --config-file ../../pyproject.toml --cache-dir ../mypy
 
-docs: setup
+docs: $(VENV)/everything
 	$(VENV)/bin/sphinx-build -W --keep-going -b html docs build/docs
 
 wheel: $(VENV)/tuning

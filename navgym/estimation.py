@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Self, overload
 
 from numpy.typing import ArrayLike
 
-from navgym.core.checks import Array
+from navgym.core.checks import Array, one_of
 from navgym.core.parameters import ParameterSpace
-from navgym.problem import Problem, Run, problem_of, problems, problems_with
+from navgym.problem import PROBLEMS, Problem, Run, problem_of, problems, problems_with
 from navgym.tuned import settled
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def parameter_space(filter_name: str, problem: str | Problem | None = None) -> P
         spaces = {p.filters[filter_name].space.fingerprint for p in having}
         problem = having[0] if len(spaces) == 1 else problem_of(filter_name)
     elif isinstance(problem, str):
-        problem = problem_of(problem)
+        problem = PROBLEMS[one_of("problem", problem, PROBLEMS)]
     return problem.find(filter_name).space
 
 

@@ -157,7 +157,7 @@ class Scoring:
         errors: (batch, states, names, span) to quantities (N,) by name; infinite after a failure.
             Raises ValueError for recordings without truth.
         squared: (batch, states, name, span) to a quantity's squared errors over time, (N, T), NaN
-            where not scored.
+            outside the span; what settles at the start is shown.
         scored: (batch, span) to a mask (N, T) of the innovations that are judged.
         nees: (batch, run) to normalised estimation errors squared per degree of freedom, (N, T).
         settling: s from a recording's start that count for no error.
@@ -261,8 +261,9 @@ class Environment:
         replayed: (names that are set) to the filter whose run with a roll-out's schedule gives the
             engine's states, to the last bit.
         refuses: (scenario) to why the environment cannot play it, or None.
-        score: (settings, gains by quantity) to the one number that training selects by; larger is
-            better. By default the first quantity's gain.
+        score: (settings, gains) to the one number that training selects by; larger is better.
+            Gains go by the names of errors in the engine's `INFO_NAMES`, such as `rmse`; by default
+            the first one counts.
     """
 
     id: str
@@ -601,7 +602,7 @@ def problem_of(what: Any) -> Problem:
 
     Args:
         what: a problem's name; the name of a scenario ("auv/switch-D"), of an environment or of a
-            filter that only one problem has; a recording, a scenario or a batch's recordings.
+            filter that only one problem has; a recording or a scenario.
 
     Raises:
         ValueError: an unknown name, or that of a filter of several problems.
@@ -623,6 +624,8 @@ def _by_name(name: str) -> Problem:
     for key, where in REGISTERED.items():
         if where.environment == name:
             return PROBLEMS[key]
+    known = [*PROBLEMS, *environments(), *(n for p in problems() for n in p.filters)]
+    one_of("problem, scenario, environment or filter", name, dict.fromkeys(known))
     having = problems_with(name)
     if len(having) > 1:
         names = " or ".join(repr(p.name) for p in having)

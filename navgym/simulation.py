@@ -20,6 +20,7 @@ def find_scenario(name: Any, /, **overrides: Any) -> Any:
     Raises ValueError, with the nearest name, for an unknown scenario or field.
     """
     if not isinstance(name, str):
+        problem_of(name)  # says what is wrong with something else
         return name.override(**overrides)
     own = one_of("scenario", name, scenarios()).partition("/")[2]
     return problem_of(name).scenarios[own].override(**overrides)

@@ -7,7 +7,6 @@ they are first used, which takes some seconds per filter.
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import time
 from collections.abc import Iterable, Sequence
@@ -16,6 +15,7 @@ from typing import Any
 
 import navgym
 from navgym.core.checks import one_of
+from navgym.core.machine import cores
 from navgym.problem import PROBLEMS, Problem, problem_of
 
 ABOUT = """Compile kernels now, instead of at first use.
@@ -91,7 +91,7 @@ def main(words: Sequence[str] = ()) -> int:
     began = time.perf_counter()
     names = parse(words)
     todo = jobs(names)
-    with ProcessPoolExecutor(min(len(todo), os.cpu_count() or 1)) as pool:
+    with ProcessPoolExecutor(min(len(todo), cores())) as pool:
         running = [pool.submit(compile_one, *job) for job in todo]
         for done, job in enumerate(as_completed(running), start=1):
             if sys.stderr.isatty():

@@ -184,8 +184,11 @@ def test_the_variable_names_the_folder_above_and_the_option_comes_first(recordin
 def test_nothing_is_looked_for_where_nobody_pointed(monkeypatch, tmp_path):
     monkeypatch.delenv(VARIABLE, raising=False)
     assert data_folder("akit") is None
-    monkeypatch.setenv(VARIABLE, str(tmp_path / "absent"))
+    monkeypatch.setenv(VARIABLE, str(tmp_path))
     assert data_folder("akit") is None
+    monkeypatch.setenv(VARIABLE, str(tmp_path / "absent"))
+    with pytest.raises(ValueError, match=r"NAVGYM_DATA must be a folder of recordings: .*absent"):
+        data_folder("akit")
     assert "--data" in absent("A-KIT")
     assert VARIABLE in absent("A-KIT")
 

@@ -25,7 +25,7 @@ from navgym.tuning.objectives import Objective
 from navgym.tuning.papers.contenders import UNTUNED, bank_beliefs, linear_filters, nonlinear_filters
 from navgym.tuning.report import plots, tables, words
 from navgym.tuning.report.page import Figure, Page, Section, Table, Tile
-from navgym.tuning.study.run import Outcome, Trial
+from navgym.tuning.study.run import Interrupted, Outcome, Trial
 
 SCENARIO = "auv/switch-D"
 DEFAULT, TUNED, UNTUNED_LABEL = "qivbf", "qivbf, tuned", "qivbf, untuned"
@@ -112,14 +112,6 @@ class Findings:
     def main(self) -> Comparison:
         """The comparison on the scenario that was tuned for."""
         return next(iter(self.conditions.values()))
-
-
-class Interrupted(Exception):  # noqa: N818 - it is no error
-    """Ctrl-C ended the study: `outcome` is what it found."""
-
-    def __init__(self, outcome: Outcome) -> None:
-        super().__init__("the study was interrupted")
-        self.outcome = outcome
 
 
 def run(size: DemoAmount, seed: int, out: Path, folder: Path | None) -> Findings:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from navgym.core.checks import one_of, positive_int
+from navgym.core.machine import cores
 from navgym.core.parameters import Parameter
 from navgym.metrics.measures import METRICS
 from navgym.problem import Amount, Problem, problem_of, problems, problems_with
@@ -186,7 +186,7 @@ class StudySettings:
     @property
     def processes(self) -> int:
         """Worker processes."""
-        return self.workers or max(1, len(os.sched_getaffinity(0)))
+        return self.workers or cores()
 
     def parameters(self) -> tuple[Parameter, ...]:
         """The free parameters, with the ranges asked for.

@@ -21,7 +21,7 @@ from navgym.tuning.settings import StudySettings
 from navgym.tuning.stages import Stages, stages
 from navgym.tuning.study import racing
 from navgym.tuning.study.executors import workers
-from navgym.tuning.study.run import Outcome, Search, Trial, search
+from navgym.tuning.study.run import Interrupted, Outcome, Search, Trial, search
 from navgym.tuning.study.selection import TOP, confirm
 from navgym.tuning.study.sensitivity import Sweep, importances, sweeps
 
@@ -68,14 +68,6 @@ class Findings:
     def default(self) -> str:
         """Label of the filter at its defaults."""
         return DEFAULT.format(self.settings.filter)
-
-
-class Interrupted(Exception):  # noqa: N818 - it is no error
-    """Ctrl-C ended the study: `outcome` is what it found."""
-
-    def __init__(self, outcome: Outcome) -> None:
-        super().__init__("the study was interrupted")
-        self.outcome = outcome
 
 
 def run(settings: StudySettings) -> Findings:
@@ -150,17 +142,16 @@ def _study(
 
 
 def _first(settings: StudySettings) -> list[dict[str, Any]]:
-    """Parameter sets to try early: an earlier result, and the best known of the scenarios."""
-    sets: list[Mapping[str, Any]] = []
-    if settings.start is not None:
-        found = read_tuned(settings.start)
-        if found.filter != settings.filter:
-            raise ValueError(
-                f"{settings.start} holds parameters of {found.filter!r}, not of "
-                f"{settings.filter!r}: start from another file."
-            )
-        sets.append(found.parameters)
-    return [_inside(settings, values) for values in sets]
+    """The earlier result to try right after the defaults, if one was given."""
+    if settings.start is None:
+        return []
+    found = read_tuned(settings.start)
+    if found.filter != settings.filter:
+        raise ValueError(
+            f"{settings.start} holds parameters of {found.filter!r}, not of {settings.filter!r}: "
+            "start from another file."
+        )
+    return [_inside(settings, found.parameters)]
 
 
 def _inside(settings: StudySettings, values: Mapping[str, Any]) -> dict[str, Any]:

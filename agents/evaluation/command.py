@@ -26,6 +26,7 @@ from navgym.command import as_typed
 from navgym.core.atomic import writable_folder
 from navgym.core.checks import positive_int
 from navgym.core.data import absent, base_folder
+from navgym.core.machine import cores
 from navgym.tuning.commands.parse import parse
 
 ABOUT = """Is a policy better than the simpler ways of choosing parameters, and where?
@@ -89,7 +90,7 @@ class Options:
     @property
     def processes(self) -> int:
         """How many processes run it."""
-        usual = 1 if self.quick else min(os.cpu_count() or 1, 8)
+        usual = 1 if self.quick else min(cores(), 8)
         return usual if self.workers is None else self.workers
 
     @property

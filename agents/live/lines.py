@@ -12,13 +12,13 @@ import numpy as np
 
 from navgym.agents.live.streaming import SelfTuningFilter, Steering
 from navgym.auv.csv_log import ANNOTATIONS, STATES, default_model, lost_flags, measured_columns
+from navgym.auv.settings import AUVDropoutSettings
 from navgym.core.checks import Array, one_of, within
 from navgym.core.tables import Table
 from navgym.envs.live import LiveEstimate
-from navgym.problem import problems
 from navgym.statespace.models import LinearModel
 
-FORMAT = "csv"  # of the reader that understands such a log
+FILTER = AUVDropoutSettings.FILTER  # whose parameters policies set on such a log
 SOURCE = Path("input")  # what errors call it
 KNOWN = (
     "time", *STATES, "lost", *(f"lost_{n}" for n in STATES), *(f"truth_{n}" for n in STATES),
@@ -75,8 +75,7 @@ def estimates(
     """
     if len(delimiter) != 1:
         raise ValueError(f"delimiter must be one character, got {delimiter!r}.")
-    filter_name = _steered()
-    SelfTuningFilter(filter_name, policy, LinearModel())  # says what is wrong with the policy
+    SelfTuningFilter(FILTER, policy, LinearModel())  # says what is wrong with the policy
     rows = ((number, line) for number, line in enumerate(lines, start=1) if line.strip())
     header = _cells(next(rows, (0, ""))[1].removeprefix("\ufeff"), delimiter)
     measured = _checked_header(header)
@@ -89,7 +88,7 @@ def estimates(
             time, y = _sample(header, _cells(line, delimiter), number, measured)
             clock.check(time)
             if tuned is None:
-                tuned = _started(time, y, measured, policy, noise, filter_name)
+                tuned = _started(time, y, measured, policy, noise)
             found = None if tuned is None else tuned.step(y, time=time)
             clock.last = time
         except ValueError as error:
@@ -104,13 +103,6 @@ def estimates(
             notice(f"time {time:g}: the filter diverged and was started again")
         reason = found.fallback
         yield _written(found)
-
-
-def _steered() -> str:
-    """The filter whose parameters policies set in the problem that reads such logs."""
-    own = next(p for p in problems() if FORMAT in p.readers)
-    name: str = own.environment.settings.FILTER
-    return name
 
 
 class _Clock:
@@ -184,7 +176,6 @@ def _started(
     measured: Sequence[str],
     policy: Steering,
     noise: Noise,
-    filter_name: str,
 ) -> SelfTuningFilter | None:
     """The filter, started by a line's position (and velocity); None where a position is missing."""
     known = dict(zip(measured, y.tolist(), strict=True))
@@ -199,7 +190,7 @@ def _started(
         Q = LinearModel.white_acceleration(step, noise.acceleration).Q
         return LinearModel(dt=step, H=start.H, Q=Q, R=start.R, x0=before, P0=start.P0)
 
-    return SelfTuningFilter(filter_name, policy, model, interval=noise.step)
+    return SelfTuningFilter(FILTER, policy, model, interval=noise.step)
 
 
 def _told(reason: str | None) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -35,7 +34,7 @@ from navgym.statespace.recording import Recording
 # what matters in a variational filter
 STEERED = ("vb_iterations", "prior_count", "forgetting", "process_noise_scale")
 SCHEDULED = ("forgetting", "process_noise_scale")
-# Parameters by true regime, from `python -m navgym.agents.regime_tables`: tuned on 40 training
+# Parameters by true regime, from `python -m navgym.agents.evaluation.regime_tables`: tuned on 40 training
 # recordings from the best fixed parameters, the best of the leaders on 40 validation recordings.
 _TABLES: dict[str, dict[str, tuple[float, float]]] = {
     "switch-A": {
@@ -64,10 +63,6 @@ def _refuses(scenario: Any) -> str | None:
     if isinstance(scenario.model, LinearModel):
         return None
     return "its model is nonlinear: choose a scenario with a linear one, such as 'auv/switch-D'"
-
-
-def _replayed(names: Sequence[str]) -> Any:  # noqa: ARG001
-    return CATALOGUE["qivbf"]
 
 
 RMSE = Quantity("rmse", "position RMSE", "m")
@@ -119,7 +114,7 @@ ENVIRONMENT = Environment(
     engine=lazy("navgym.auv.engine:Engine"),
     live=lazy("navgym.auv.live:LiveAUV"),
     steered=("process_noise_scale", "forgetting"),
-    replayed=_replayed,
+    replayed=lambda _: CATALOGUE["qivbf"],
     refuses=_refuses,
 )
 

@@ -34,9 +34,11 @@ def data_folder(name: str, given: Path | None = None) -> Path | None:
 
 
 def base_folder() -> Path | None:
-    """The folder that $NAVGYM_DATA names; None where it names none."""
+    """The folder that $NAVGYM_DATA names, None where it is not set; ValueError if there is none."""
     named = os.environ.get(VARIABLE)
-    return Path(named) if named and Path(named).is_dir() else None
+    if named and not Path(named).is_dir():
+        raise ValueError(f"${VARIABLE} must be a folder of recordings: {named} is none.")
+    return Path(named) if named else None
 
 
 def absent(*titles: str) -> str:

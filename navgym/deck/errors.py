@@ -11,12 +11,10 @@ from scipy.ndimage import uniform_filter1d
 
 from navgym.core.checks import Array
 from navgym.deck.batch import DeckBatch
+from navgym.deck.settings import START
 from navgym.inertial.flexure import ARCMIN
 
-START = 60.0  # s, when scoring begins: before, the filter is still finding its alignment
 MEAN_SECONDS = 60.0  # what `theta_ac` takes off: slower errors are the split between Φ and θ(0)
-NAMES = ("attitude", "theta", "static", "theta_rate", "theta_ac")
-UNITS = {"theta_rate": "'/s"} | dict.fromkeys(("attitude", "theta", "static", "theta_ac"), "'")
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +31,11 @@ class DeckErrors:
 
 
 def deck_errors(
-    batch: DeckBatch, states: Array, start: float = START, attitude: bool = True
+    batch: DeckBatch,
+    states: Array,
+    start: float = START,
+    attitude: bool = True,
+    span: tuple[float, float] = (0.0, 1.0),
 ) -> DeckErrors:
     """Errors of states (N, K, 24) over a batch, from `start` seconds on.
 
@@ -42,6 +44,7 @@ def deck_errors(
         states: of the filter on each of them.
         start: s from the recording's start that are not scored.
         attitude: whether to compute attitude and static errors too, which takes longer.
+        span: shares of each recording between which it is scored.
 
     Raises:
         ValueError: a recording lacks the truth, or is shorter than `start`.
@@ -56,9 +59,10 @@ def deck_errors(
         )
     axes: dict[str, list[Array]] = {}
     for i, length in enumerate(batch.lengths):
+        begin, end = (round(share * length) for share in span)
         for name, error in run_errors(batch, i, states[i, :length], attitude).items():
             with np.errstate(invalid="ignore", over="ignore"):
-                mean = np.sqrt((error[first:] ** 2).mean(axis=0))
+                mean = np.sqrt((error[max(first, begin) : end] ** 2).mean(axis=0))
             axes.setdefault(name, []).append(np.where(np.isfinite(mean), mean, np.inf))
     stacked = {name: np.stack(rows) for name, rows in axes.items()}
     norm = {name: np.sqrt((value**2).sum(axis=1)) for name, value in stacked.items()}

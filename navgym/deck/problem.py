@@ -12,7 +12,7 @@ from navgym.deck.catalogue import CATALOGUE
 from navgym.deck.conditions import DeckRanges, draw, shifts
 from navgym.deck.recording import DualIMURecording
 from navgym.deck.scenarios import DECK_CATALOGUE, DeckScenario
-from navgym.deck.settings import DeckDeformationSettings
+from navgym.deck.settings import START, DeckDeformationSettings
 from navgym.metrics.measures import Measure, Quantity, by_name
 from navgym.problem import (
     Amount,
@@ -84,7 +84,7 @@ SCORING = Scoring(
     squared=lazy("navgym.deck.scoring:squared"),
     scored=lazy("navgym.deck.scoring:scored"),
     nees=lazy("navgym.deck.scoring:nees"),
-    settling=60.0,
+    settling=START,
     at_once=1,
 )
 

@@ -10,26 +10,28 @@ from numpy.typing import NDArray
 from navgym.core.checks import Array
 from navgym.deck.alignment import FLEXING
 from navgym.deck.batch import DeckBatch
-from navgym.deck.errors import START, deck_errors, run_errors
+from navgym.deck.errors import deck_errors, run_errors
+from navgym.deck.settings import START
 from navgym.metrics.consistency import nees as normalised
 from navgym.problem import Run, Span
 
 
-def errors(batch: DeckBatch, states: Array, names: Sequence[str], span: Span) -> dict[str, Array]:  # noqa: ARG001
+def errors(batch: DeckBatch, states: Array, names: Sequence[str], span: Span) -> dict[str, Array]:
     """RMSE of θ̇, of the fast part of θ, of θ and of the attitude, by name; see `Scoring.errors`.
 
-    Errors against the truth count from `START` on, whatever the span.
+    The alignment, up to `START`, is left out.
     """
-    norm = deck_errors(batch, states, attitude="attitude" in names).norm
+    norm = deck_errors(batch, states, attitude="attitude" in names, span=span).norm
     return {name: norm[name] for name in names}
 
 
-def squared(batch: DeckBatch, states: Array, name: str, span: Span) -> Array:  # noqa: ARG001
-    """Squared lengths of errors over time (N, K), arcmin² (of θ̇: (arcmin/s)²)."""
+def squared(batch: DeckBatch, states: Array, name: str, span: Span) -> Array:
+    """Squared lengths of errors over time (N, K), arcmin² (of θ̇: (arcmin/s)²), alignment and all."""
     found = np.full(states.shape[:2], np.nan)
     for i, length in enumerate(batch.lengths):
         error = run_errors(batch, i, states[i, :length], name == "attitude")[name]
-        found[i, :length] = (error**2).sum(axis=1)
+        begin, end = (round(share * length) for share in span)
+        found[i, begin:end] = (error[begin:end] ** 2).sum(axis=1)
     return found
 
 

@@ -12,6 +12,7 @@ from navgym.deck.scenarios import DeckScenario
 from navgym.envs.settings import LaneSettings
 
 FEATURES = ("all", "gyro")
+START = 60.0  # s, when scoring begins: before, the filter is still finding its alignment
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,12 @@ from scipy.spatial.transform import Rotation
 import navgym
 from navgym.deck.alignment import FLEXING, THETA
 from navgym.deck.batch import DeckBatch
-from navgym.deck.errors import NAMES, UNITS, deck_errors, moving_mean
+from navgym.deck.errors import deck_errors, moving_mean
 from navgym.inertial.flexure import ARCMIN
 from navgym.simulation import simulate_many
 from tests.helpers import run_deck
+
+NAMES = ("attitude", "theta", "static", "theta_rate", "theta_ac")
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +47,7 @@ def perfect(batch):
 
 def test_truth_has_no_errors(batch, perfect):
     found = deck_errors(batch, perfect)
-    assert set(found.axes) == set(found.norm) == set(NAMES) == set(UNITS)
+    assert set(found.axes) == set(found.norm) == set(NAMES)
     for name in NAMES:
         assert found.axes[name].shape == (3, 3)
         assert found.norm[name].shape == (3,)
@@ -165,3 +167,16 @@ def test_the_filters_own_errors_are_as_large_as_expected(batch):
     assert 0.5 < found.norm["theta"].mean() < 12.0
     assert (found.norm["theta_ac"] < found.norm["theta"]).all()
     assert 0.1 < found.norm["theta_rate"].mean() < 0.6
+
+
+def test_a_span_is_scored_alone():
+    """The first half and the second give the whole again, as mean squares do."""
+    batch = DeckBatch.of(navgym.simulation.simulate_many("deck/paper", [3], duration=20.0))
+    states = np.zeros((1, batch.steps, 24))
+    spans = (0.0, 0.5), (0.5, 1.0), (0.0, 1.0)
+    first, second, whole = (
+        deck_errors(batch, states, 0.0, attitude=False, span=span).norm["theta"] ** 2
+        for span in spans
+    )
+    np.testing.assert_allclose((first + second) / 2, whole)
+    assert abs(first - second) > 0.01 * whole

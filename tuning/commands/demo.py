@@ -13,6 +13,7 @@ from navgym.core.data import data_folder
 from navgym.tuning import demo
 from navgym.tuning.commands.parse import parse
 from navgym.tuning.report import page as report
+from navgym.tuning.study.run import Interrupted
 
 ABOUT = """Which filter, with which parameters, holds an AUV's position when measurements get lost?
 
@@ -61,7 +62,7 @@ def main(words: Sequence[str]) -> int:
     options = parse(DemoOptions, "demo", ABOUT, words)
     try:
         _show(options, as_typed("demo", words))
-    except demo.Interrupted as stop:
+    except Interrupted as stop:
         best = stop.outcome.best
         print(f"\nstopped after {len(stop.outcome.trials)} trials: the best so far has "
               f"{best.result:.4g} m with {dict(best.values)}")  # fmt: skip
@@ -77,8 +78,8 @@ def _show(options: DemoOptions, command: str) -> None:
     """Run, write the page and the results, print the table and the path."""
     began = time.perf_counter()
     folder = data_folder(TRACKS.name, options.data)
-    data = f"{TRACKS.title}, {folder}" if folder else "simulated stand-in"
-    print(f"tracks: {data}")
+    data = TRACKS.title if folder else "simulated stand-in"
+    print(f"tracks: {data}, {folder}" if folder else f"tracks: {data}")
     found = demo.run(options.amount, options.seed, options.out, folder)
     seeds = {"tuning": "training", "choice among leaders": "validation", "all figures": "test"}
     basis = report.provenance(command, tracks=data, seeds=seeds, sampler_seed=options.seed)

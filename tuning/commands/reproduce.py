@@ -92,7 +92,7 @@ def _auv(options: ReproduceOptions, command: str) -> Path:
     seed = options.seed or 0
     parts = _shown(qivbf.auv(size, seed, options.out, folder))
     seeds = {"tuning": "training", "choice among leaders": "validation", "all figures": "test"}
-    data = f"{TRACKS.title}, {folder}" if folder else "none"
+    data = TRACKS.title if folder else "none"
     basis = report.provenance(command, tracks=data, seeds=seeds, sampler_seed=seed)
     return _written(options.out / "auv", parts, basis)
 

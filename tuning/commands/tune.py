@@ -10,6 +10,7 @@ from navgym.tuning import tune
 from navgym.tuning.commands.parse import configured, parse
 from navgym.tuning.report import study as tune_report
 from navgym.tuning.settings import StudySettings
+from navgym.tuning.study.run import Interrupted
 
 ABOUT = """Find the parameters of a filter, and say how much they gain on data that nobody tuned on.
 
@@ -41,7 +42,7 @@ def main(words: Sequence[str]) -> int:
     settings = parse(StudySettings, "tune", ABOUT, rest, default)
     try:
         found = tune.run(settings)
-    except tune.Interrupted as stop:
+    except Interrupted as stop:
         print(f"\n{tune_report.so_far(settings, stop.outcome)}")
         return STOPPED
     tune_report.write(found, as_typed("tune", words))

@@ -110,6 +110,14 @@ class Outcome:
         return tuple(front)
 
 
+class Interrupted(Exception):  # noqa: N818 - it is no error
+    """Ctrl-C ended the study: `outcome` is what it found."""
+
+    def __init__(self, outcome: Outcome) -> None:
+        super().__init__("the study was interrupted")
+        self.outcome = outcome
+
+
 @dataclass(frozen=True)
 class Search:
     """How a study is run.
