@@ -24,26 +24,46 @@ def read_csv(
     *,
     model: Model | None = None,
     columns: Mapping[str, str] | None = None,
-    delimiter: str = ",",
-    time_scale: float = 1.0,
-    extra: str = "raise",
+    units: Mapping[str, str] | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+    encoding: str | None = None,
+    missing: Sequence[str | float] = (),
+    extra: str = "say",
+    time_scale: float | None = None,
+    sort: bool | None = None,
+    held: str = "auto",
+    origin: Sequence[float] | None = None,
+    lever_arm: Sequence[float] | None = None,
+    latency: Mapping[str, float] | None = None,
+    accuracy_floor: float = 0.0,
     position_noise: float = 1.0,
     velocity_noise: float = 0.1,
     acceleration: float = 0.1,
+    largest: float = 2e9,
 ) -> Recording:
     """A user's own log: a text file with a header line and a row per sample, at any times.
 
     ======================  ====================================================================
     column                  holds
     ======================  ====================================================================
-    time                    strictly increasing; times `time_scale` it is in seconds
-    px, vx, py, vy          measurements (m, m/s), all or some of them; empty or nan is lost
+    time                    numbers in s (or ms, us, ns), ISO 8601, or a clock HH:MM:SS
+    px, vx, py, vy          measurements (m, m/s; x north, y east), all or some of them
+    lat, lon, height        in place of px, py: degrees (or rad by unit), m; `navgym.geographic`
+                            turns estimates back
+    sigma_px, sigma_vx ...  optional: the receiver's own standard deviation of each row, m, m/s;
+                            sigma_position and sigma_velocity stand for both axes
+    heading                 optional: degrees (or rad by unit) from north to east, for `lever_arm`
     truth_px, truth_vx ...  optional: true states, in every row; in place of missing true
                             velocities stand differences of the true positions
     lost, lost_px ...       optional: 1 or true where the sample, or a component, was lost
     regime                  optional: as in `Recording`; so are process_scale and
                             measurement_scale
     ======================  ====================================================================
+
+    Names may be in any case, with blanks, and with a unit: "North (m)", "px [km]", "vx_m/s",
+    "Time (ms)"; usual other names are known. What was found and done stands as sentences in
+    `meta["reading"]`; what may be wrong is a warning too.
 
     A `model` that measures something else names its columns z1, z2, ... and, unless its states are
     [Px, Vx, Py, Vy], truth_x1, truth_x2, ...
@@ -54,33 +74,52 @@ def read_csv(
     noise, so that this second use of a datum weighs 1 %.
 
     Args:
-        path: the file.
+        path: the file; one that gzip packed is unpacked.
         model: what a filter is to believe, for every row; measures the columns of its H.
         columns: the file's names where they differ, for example {"px": "north (m)"}.
-        delimiter: between cells.
-        time_scale: seconds per unit of the time column, 1e-3 for ms.
-        extra: "raise" an error for columns of unknown meaning, or "ignore" them.
+        units: of columns whose names tell none, or a wrong one: {"px": "ft", "time": "ms"}.
+        delimiter: between cells, " " for any run of blanks; found in the file by default.
+        decimal: "." or ","; found in the file by default.
+        encoding: of the text, such as "latin-1"; found in the file by default.
+        missing: further words or numbers that stand for a lost measurement, such as -9999.
+        extra: of columns of unknown meaning: leave them out and "say" so, "raise" an error, or
+            "ignore" them without a word.
+        time_scale: seconds per unit of the time column, 1e-3 for ms; by default what the column's
+            name says, else s, or what the numbers leave no doubt of.
+        sort: True sorts rows whatever their times, False refuses any that do not come after the
+            last; by default rows are sorted unless the clock was set back within the file.
+        held: what is made of a receiver's repeated last values: "lost", "keep", or "auto", lost
+            where they cannot be measurements of their own.
+        origin: latitude and longitude, °, and height, m, of px = py = 0; the first fix by default.
+        lever_arm: forward and right, m, from the vehicle's centre to the position sensor.
+        latency: s by which columns, or "position" or "velocity", are late: {"velocity": 0.5}.
+        accuracy_floor: least standard deviation believed of the sigma columns, m and m/s.
         position_noise: standard deviation of a measured position in the default model, m.
         velocity_noise: of a measured velocity, m/s.
-        acceleration: of the vehicle's white acceleration, m/s².
+        acceleration: of the vehicle's white acceleration.
+        largest: bytes of text, after unpacking, that are read at most.
 
     Raises:
         FileNotFoundError: there is no such file.
         ValueError: naming line and column, for text, infinity or a gap where a number is needed,
-            times that do not increase, unknown or missing columns, a file that is empty or not
-            text, a log without any received measurement.
+            a clock that was set back, unknown units, two columns that could be meant, missing
+            columns, a file that is empty or not text, a log without any received measurement.
     """
+    del units, decimal, encoding, missing, sort, held, origin, lever_arm, latency  # next commits
+    del accuracy_floor, largest
+    delimiter = "," if delimiter is None else delimiter
+    time_scale = 1.0 if time_scale is None else time_scale
     scales = {
         "time_scale": time_scale, "position_noise": position_noise,
         "velocity_noise": velocity_noise, "acceleration": acceleration,
     }  # fmt: skip
     for name, value in scales.items():
         within(name, value, 0.0, above=True)
-    one_of("extra", extra, ("raise", "ignore"))
+    one_of("extra", extra, ("say", "raise", "ignore"))
     _check_kinds(columns, model)
     table = _renamed(read_table(path, delimiter), columns, model)
     measured, states = _component_names(model) if model else (measured_columns(table), STATES)
-    if extra == "raise":
+    if extra != "ignore":
         _refuse_strangers(table, measured, states)
     time = table.increasing("time", time_scale, "Say which it is with columns={'time': ...}.")
     y = np.stack([table.numbers(name, gaps=True) for name in measured], axis=-1)
