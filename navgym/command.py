@@ -48,6 +48,7 @@ COMMANDS = {
         "navgym.tuning.commands.demo:main",
         "tune, compare every filter, replay tracks, write a page", "tuning",
     ),
+    "read": Command("navgym.read_command:main", "say what a log holds, before anything is made of it"),
     "tune": Command(
         "navgym.tuning.commands.tune:main",
         "find a filter's parameters, for simulated conditions or your own logs", "tuning", _STUDY,

@@ -160,6 +160,10 @@ class Scoring:
             outside the span; what settles at the start is shown.
         scored: (batch, span) to a mask (N, T) of the innovations that are judged.
         nees: (batch, run) to normalised estimation errors squared per degree of freedom, (N, T).
+        foretold: one-step errors of what is measured, by name; the first whose rows a recording has is
+            what it is judged by where no truth is known. Each has a measure of its name.
+        rows: (batch) to factors (N, m) of innovations by name of `foretold`, 0 for rows that do not
+            belong to it; names without a row are left out.
         settling: s from a recording's start that count for no error.
         at_once: recordings whose covariances may be in memory together; None: all.
     """
@@ -170,6 +174,8 @@ class Scoring:
     squared: Callable[[Any, Array, str, Span], Array]
     scored: Callable[[Any, Span], NDArray[np.bool_]]
     nees: Callable[[Any, Run], Array]
+    foretold: Mapping[str, Quantity] = field(default_factory=dict)
+    rows: Callable[[Any], Mapping[str, Array]] = lambda _: {}
     settling: float = 0.0
     at_once: int | None = None
 
@@ -419,6 +425,9 @@ class Problem:
         simulate: (scenario, seeds) to recordings.
         brief: overrides that make a scenario as short as can be: for compiling, and for checks.
         readers: "module:function" by format.
+        marks: by format, a regular expression that a file's first lines, or the names in a folder,
+            hold where they are in it.
+        told: (recording) to lines of a name and a text, what it holds beside times; None: nothing.
         filters: by name.
         stack: recordings to a `Batch`.
         runner: (filter, batch, table of parameters, interval, everything) to a `Run`; raises
@@ -457,6 +466,8 @@ class Problem:
     training: Training
     contest: Contest
     tracks: Tracks | None = None
+    marks: Mapping[str, str] = field(default_factory=dict)
+    told: Callable[[Any], list[tuple[str, str]]] | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travels by where it is found: a process that has not met it imports it."""

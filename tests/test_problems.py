@@ -125,7 +125,7 @@ class TestFinding:
             problem_of(np.zeros(3))
 
     def test_formats_environments_and_scenario_names_are_one_problems_each(self):
-        assert len(formats()) == sum(len(p.readers) for p in problems())
+        assert len(formats()) == sum(len(p.readers) for p in problems()) + 1  # and npz, of all
         assert len({p.environment.id for p in problems()}) == len(PROBLEMS)
         assert len({p.scenario for p in problems()}) == len(PROBLEMS)
         assert len({p.recording for p in problems()}) == len(PROBLEMS)

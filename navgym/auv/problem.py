@@ -11,7 +11,7 @@ from navgym.auv.conditions import AUVRanges, draw
 from navgym.auv.scenarios import CATALOGUE as SCENARIOS
 from navgym.auv.scenarios import SHIFTS, AUVScenario
 from navgym.auv.settings import AUVDropoutSettings
-from navgym.metrics.measures import Measure, Quantity, by_name
+from navgym.metrics.measures import CLIP, Measure, Quantity, by_name
 from navgym.problem import (
     Amount,
     Contest,
@@ -66,14 +66,24 @@ def _refuses(scenario: Any) -> str | None:
 
 
 RMSE = Quantity("rmse", "position RMSE", "m")
+FIXES = Quantity("fixes", "one-step error of the position fixes", "m", needs_truth=False, clip=CLIP)
+VELOCITIES = Quantity("velocities", "one-step error of the velocities", "m/s", needs_truth=False, clip=CLIP)  # fmt: skip
 
 SCORING = Scoring(
     quantities=MappingProxyType({"rmse": RMSE}),
-    measures=by_name(Measure("rmse", "position RMSE, m", (RMSE,))),
+    measures=by_name(
+        Measure("rmse", "position RMSE, m", (RMSE,)),
+        Measure("fixes", "one-step error of the position fixes, m: needs no truth", (FIXES,)),
+        Measure(
+            "velocities", "one-step error of the velocities, m/s: needs no truth", (VELOCITIES,)
+        ),
+    ),
     errors=lazy("navgym.auv.scoring:errors"),
     squared=lazy("navgym.auv.scoring:squared"),
     scored=lazy("navgym.auv.scoring:scored"),
     nees=lazy("navgym.auv.scoring:nees"),
+    foretold=MappingProxyType({"fixes": FIXES, "velocities": VELOCITIES}),
+    rows=lazy("navgym.auv.scoring:rows"),
 )
 
 STEERING = Steering(
@@ -180,6 +190,8 @@ PROBLEM = Problem(
     simulate=lazy("navgym.auv.simulation:simulate"),
     brief={"steps": 10},
     readers={"akit": "navgym.auv.akit:read_akit", "csv": "navgym.auv.csv_log:read_csv"},
+    told=lazy("navgym.auv.told:told"),
+    marks={"akit": r"\bGT_trajectory\d+\.csv"},
     filters=CATALOGUE,
     stack=Batch.of,
     runner=lazy("navgym.statespace.run:run"),

@@ -6,7 +6,7 @@ import json
 import os
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +50,12 @@ def load(path: str | os.PathLike[str], kind: str) -> tuple[Arrays, dict[str, Any
     return arrays, dict(header["meta"])
 
 
+def kind_of(path: str | os.PathLike[str]) -> str:
+    """Name of the class whose `save` wrote a file; raises as `load`."""
+    arrays = _read(path, "Recording", ("header", "time"))
+    return str(_header(path, "Recording", arrays["header"]).get("kind", "Recording"))
+
+
 def writable(meta: Mapping[str, Any]) -> dict[str, Any]:
     """A copy of `meta` as JSON gives it back; ValueError for what JSON cannot hold."""
     try:
@@ -59,8 +65,10 @@ def writable(meta: Mapping[str, Any]) -> dict[str, Any]:
     return copied
 
 
-def read_npz(path: str | os.PathLike[str], what: str, remedy: str) -> Arrays:
-    """The arrays of an npz file, never unpickled.
+def read_npz(
+    path: str | os.PathLike[str], what: str, remedy: str, only: Sequence[str] | None = None
+) -> Arrays:
+    """The arrays of an npz file, or those named `only`, never unpickled.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -68,22 +76,23 @@ def read_npz(path: str | os.PathLike[str], what: str, remedy: str) -> Arrays:
     """
     try:
         with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
+            return {name: file[name] for name in file.files if only is None or name in only}
     except _UNREADABLE as error:
         if isinstance(error, FileNotFoundError):
             raise
         raise ValueError(f"{path} {what} ({error}). {remedy}") from error
 
 
-def _read(path: str | os.PathLike[str], kind: str) -> Arrays:
+def _read(path: str | os.PathLike[str], kind: str, only: Sequence[str] | None = None) -> Arrays:
     arrays = read_npz(
         path,
         "is not a navgym recording or is truncated",
         f"Use a file that {kind}.save wrote, or navgym.read for other formats.",
+        only,
     )
     if "header" not in arrays or "time" not in arrays:
         raise ValueError(
-            f"{path} is an npz file but not a navgym recording: it holds {sorted(arrays)[:8]}. "
+            f"{path} is an npz file but not a navgym recording: it holds {sorted(arrays)[:8] or 'neither header nor time'}. "
             f"Use a file that {kind}.save wrote."
         )
     return arrays

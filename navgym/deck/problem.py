@@ -65,6 +65,8 @@ _QUANTITIES = {
     )
 }
 _RATE, _AC, _THETA, _ATTITUDE = _QUANTITIES.values()
+# Nothing is cut: a glitch counts the same whatever the parameters, what it leaves behind does not.
+RATES = Quantity("rates", "one-step error of the matched rates", "′/s", needs_truth=False)
 
 SCORING = Scoring(
     quantities=MappingProxyType(_QUANTITIES),
@@ -79,11 +81,14 @@ SCORING = Scoring(
         Measure("theta_ac", "RMSE of θ less its 60 s mean, ′", (_AC,)),
         Measure("theta", "RMSE of θ, ′", (_THETA,)),
         Measure("attitude", "RMSE of the total attitude, ′", (_ATTITUDE,)),
+        Measure("rates", "one-step error of the matched rates, ′/s: needs no truth", (RATES,)),
     ),
     errors=lazy("navgym.deck.scoring:errors"),
     squared=lazy("navgym.deck.scoring:squared"),
     scored=lazy("navgym.deck.scoring:scored"),
     nees=lazy("navgym.deck.scoring:nees"),
+    foretold=MappingProxyType({"rates": RATES}),
+    rows=lazy("navgym.deck.scoring:rows"),
     settling=START,
     at_once=1,
 )
@@ -179,6 +184,12 @@ PROBLEM = Problem(
         "deck_csv": "navgym.deck.csv_log:read_deck_csv",
         "multi_imu": "navgym.deck.public_logs:read_multi_imu",
         "repoimu": "navgym.deck.public_logs:read_repoimu",
+    },
+    told=lazy("navgym.deck.told:told"),
+    marks={
+        "deck_csv": r"\b(main|sub)_(gyro|acc)_[xyz]\b",
+        "multi_imu": r"\bpath_\d+_IMU_\d+\.csv",
+        "repoimu": r"\bPendulum_\w+_Segment_\d+\.csv",
     },
     filters=CATALOGUE,
     stack=lazy("navgym.deck.batch:DeckBatch.of"),
