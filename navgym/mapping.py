@@ -1,10 +1,27 @@
-"""Mapping files: what the columns of a log hold, once, in TOML, for every command."""
+"""Mapping files: what the columns of a log hold, once, in TOML, for every command.
+
+    format = "csv"             # or deck_csv, ...; left out: what the log looks like
+    position_noise = 1.5       # any option of the format's reader, tables as tables
+    latency.velocity = 0.5
+
+    [column."east (ft)"]       # a column of the log
+    quantity = "py"            # what it holds, by the reader's name
+    unit = "ft"
+    noise = 3.0                # standard deviation, m or m/s; the same for both axes of a sensor
+    accuracy = "h_acc"         # or: the column with the receiver's own, row by row
+    latency = 0.2              # s
+    lever_arm = [0.4, 0.0]     # m
+    frame = "ned"              # x north and y east; "enu": x east and y north
+    sensor = "position"        # whose noise and accuracy these are; usually plain by the quantity
+
+Each key is an option of the reader, a column's being its share of one; which there are depends on
+the reader, and errors list them.
+"""
 
 from __future__ import annotations
 
 import collections.abc
 import os
-import re
 import tomllib
 import typing
 from collections.abc import Callable, Mapping
@@ -16,6 +33,14 @@ from navgym.core.checks import one_of, short
 
 COLUMN = "column"  # the table of the file's columns
 QUANTITY = "quantity"
+ACCURACY = "accuracy"  # the column of a quantity's standard deviations
+# quantities of the sensors whose noise a reader can be told
+SENSORS = {
+    "position": ("px", "py", "pz", "lat", "lon", "height", "depth"),
+    "velocity": ("vx", "vy", "vz"),
+}
+FRAMES = ("ned", "enu")  # x north and y east, as readers have it; or x east and y north
+TURNED = {"px": "py", "py": "px", "vx": "vy", "vy": "vx"}
 
 Convert: TypeAlias = Callable[[Any, Any, str], Any]
 
@@ -70,38 +95,88 @@ class Mapped:
 
         Raises ValueError naming file, key, value and what there is.
         """
-        keys = {_singular(name): name for name, hint in hints.items() if _by_quantity(name, hint)}
         found: dict[str, Any] = {}
         for name, value in self.rest.items():
             one_of(f"key of {self.path}:", name, ("format", COLUMN, *hints))
             found[name] = convert(hints[name], value, f"{self.path}: {name}")
         for column, table in self.columns.items():
             place = f"{self.path}: [{COLUMN}.{column!r}]"
-            quantity = table[QUANTITY]
-            _set(found, "columns", quantity, column)
-            for key, value in table.items():
-                if key == QUANTITY:
-                    continue
-                option = keys[one_of(f"key in {place}:", key, (QUANTITY, *keys))]
-                made = convert(hints[option], {quantity: value}, f"{place} {key}")
-                _set(found, option, quantity, made[quantity])
+            _add(found, _ColumnOf(place, column, table).options(hints, convert), place)
         return found
 
 
-def _set(found: dict[str, Any], option: str, quantity: str, value: Any) -> None:
-    found[option] = {**found.get(option, {}), quantity: value}
+@dataclass(frozen=True, eq=False)
+class _ColumnOf:
+    """What is said of one column of a log."""
+
+    place: str
+    name: str
+    told: Mapping[str, Any]
+
+    @property
+    def quantity(self) -> str:
+        """What it holds, in the reader's own frame."""
+        quantity: str = self.told[QUANTITY]
+        frame = self.told.get("frame", FRAMES[0])
+        if one_of(f"frame in {self.place}:", frame, FRAMES) == FRAMES[0]:
+            return quantity
+        return TURNED.get(quantity, quantity)
+
+    @property
+    def sensor(self) -> str | None:
+        """Which sensor measures it."""
+        usual = next((s for s, names in SENSORS.items() if self.quantity in names), None)
+        said = self.told.get("sensor", usual)
+        return None if said is None else one_of(f"sensor in {self.place}:", said, SENSORS)
+
+    def options(self, hints: Mapping[str, Any], convert: Convert) -> dict[str, Any]:
+        """Its share of the reader's options."""
+        keys = self._keys(hints)
+        found: dict[str, Any] = {"columns": {self.quantity: self.name}}
+        for key, value in self.told.items():
+            one_of(f"key in {self.place}:", key, (QUANTITY, "frame", "sensor", ACCURACY, *keys))
+            name = f"{self.place} {key}"
+            if key == ACCURACY:
+                column = convert(str, value, name)
+                whose = self.quantity if self.quantity in TURNED else self.sensor
+                found["columns"][f"sigma_{whose}"] = column
+            elif key in keys:
+                option = keys[key]
+                one = {self.quantity: value} if _by_quantity(hints[option]) else value
+                found[option] = convert(hints[option], one, name)
+        return found
+
+    def _keys(self, hints: Mapping[str, Any]) -> dict[str, str]:
+        """Options of the reader by what one column calls its share of them."""
+        tables = [name for name, hint in hints.items() if _by_quantity(hint)]
+        named = {_singular(n): n for n in tables if n not in ("columns", "model")}
+        named |= {"noise": f"{self.sensor}_noise", "lever_arm": "lever_arm"}
+        return {key: option for key, option in named.items() if option in hints}
 
 
-def _by_quantity(name: str, hint: Any) -> bool:
-    """Whether an option is a table by quantity, so that each column can say its own."""
-    kinds = (hint, *typing.get_args(hint))
+def _add(found: dict[str, Any], more: Mapping[str, Any], place: str) -> None:
+    """Put the options of one column to those of the others, with which they must agree."""
+    for option, value in more.items():
+        held = found.get(option, {} if isinstance(value, Mapping) else value)
+        one, two = (v if isinstance(v, Mapping) else {"": v} for v in (held, value))
+        for key in one.keys() & two.keys():
+            if one[key] != two[key]:
+                raise ValueError(
+                    f"{place} wants {f'{option}.{key}'.strip('.')} = {two[key]!r}, and something "
+                    f"above it {one[key]!r}: only one can be."
+                )
+        found[option] = {**held, **value} if isinstance(value, Mapping) else value
+
+
+def _by_quantity(hint: Any) -> bool:
+    """Whether an option is a table, so that each column can say its own."""
     tables = (dict, collections.abc.Mapping)
-    return name != "columns" and any(typing.get_origin(kind) in tables for kind in kinds)
+    return any(typing.get_origin(kind) in tables for kind in (hint, *typing.get_args(hint)))
 
 
 def _singular(name: str) -> str:
-    """What one column calls its share of an option: units, latencies: unit, latency."""
-    return re.sub("ies$", "y", name) if name.endswith("ies") else name.removesuffix("s")
+    """units: unit."""
+    return name.removesuffix("s")
 
 
 def _checked(source: Path, columns: object) -> Mapping[str, Mapping[str, Any]]:
