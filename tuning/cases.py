@@ -5,17 +5,33 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navgym.core.checks import Array
+from navgym.core.parameters import ParameterSpace
 from navgym.core.seeds import seeds
-from navgym.metrics.measures import BLIND, Judged, bounded, innovation_quantities
-from navgym.problem import Problem, Run, problem_of
+from navgym.metrics.consistency import Consistency, per_degree
+from navgym.metrics.measures import (
+    NIS,
+    NLL,
+    ONE_STEP,
+    Judged,
+    Quantity,
+    bounded,
+    cut_squares,
+    innovation_quantities,
+    one_step_error,
+    spreads,
+)
+from navgym.problem import Filter, Problem, Run, problem_of
 from navgym.simulation import find_scenario, simulate_many
 from navgym.tuning.study.recipes import Recipe, remake, travelling
+
+JUDGED = 8  # recordings whose covariances are looked at where few fit into memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +44,8 @@ class Cases:
         about: provenance as JSON can hold it: scenario, seeds, overrides.
         span: shares of each recording between which it is scored, 0 to 1.
         recipe: how they were made, if they can be made again; see `navgym.tuning.study.recipes`.
+        spread: (N, m) robust deviation of each row's innovations of the plain filter, if it is known
+            already.
     """
 
     problem: Problem
@@ -35,6 +53,7 @@ class Cases:
     about: Mapping[str, Any] = field(default_factory=dict)
     span: tuple[float, float] = (0.0, 1.0)
     recipe: Recipe | None = None
+    spread: Array | None = None
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         return super().__reduce_ex__(protocol) if self.recipe is None else (remake, (self.recipe,))
@@ -102,9 +121,61 @@ class Cases:
         """Name of the error that counts."""
         return next(iter(self.problem.scoring.quantities))
 
+    def space(self, filter_name: str | Filter) -> ParameterSpace:
+        """What can be tuned in a filter on these recordings."""
+        return self.problem.find(filter_name).space
+
     def take(self, which: Sequence[int] | NDArray[np.int64]) -> Cases:
         """Some of the recordings, in the order of `which`."""
-        return replace(self, batch=self.batch.take(which), recipe=None)
+        known = self.__dict__.get("spreads", self.spread)
+        part = None if known is None else known[np.asarray(which, dtype=np.int64)]
+        return replace(self, batch=self.batch.take(which), recipe=None, spread=part)
+
+    # ---- what recordings without truth are judged by
+
+    @cached_property
+    def rows(self) -> Mapping[str, Array]:
+        """Factors (N, m) of innovations by one-step error, of those that these recordings have."""
+        return self.problem.scoring.rows(self.batch)
+
+    @property
+    def foretold(self) -> Quantity:
+        """The one-step error that counts where no truth is known."""
+        known = self.problem.scoring.foretold
+        return next((known[name] for name in known if name in self.rows), ONE_STEP)
+
+    @cached_property
+    def spreads(self) -> Array:
+        """Robust deviation (N, m) of each row's innovations of the plain filter at its defaults, over the
+        whole of each recording: the same for every filter, parameter and span.
+        """
+        if self.spread is not None:
+            return self.spread
+        scoring, found = self.problem.scoring, []
+        for part, _ in self._parts(None):
+            run = self.problem.run(part.plain, part.batch, None, everything=True)
+            judged = scoring.scored(part.batch, (0.0, 1.0))[..., None]
+            found.append(spreads(np.where(judged, run.innovations, np.nan)))
+        return np.concatenate(found)
+
+    def _step(self, name: str) -> tuple[Array, Array]:
+        """Factors (N, m), and most that an innovation may count as, of a one-step error."""
+        if name == ONE_STEP.name:
+            factors = 1.0 / self.spreads  # a share of each row: 1 for normal innovations
+            used = np.maximum((factors > 0.0).sum(axis=1, keepdims=True), 1)
+            return factors / np.sqrt(used), ONE_STEP.clip * self.spreads
+        quantity = self.problem.scoring.foretold[name]
+        if name not in self.rows:
+            raise ValueError(
+                f"measure {name!r} needs {quantity.label.removeprefix('one-step error of ')}, of which "
+                f"these recordings hold none: use {self.foretold.name!r}."
+            )
+        most = quantity.clip * self.spreads if np.isfinite(quantity.clip) else np.inf
+        return self.rows[name], np.broadcast_to(most, self.rows[name].shape)
+
+    def _is_blind(self, name: str) -> bool:
+        """Whether a quantity needs no truth."""
+        return name in (NLL.name, NIS.name, ONE_STEP.name) or name in self.problem.scoring.foretold
 
     def by_regime(self, values: Sequence[float], delay: float = 0.0) -> list[Array]:
         """A parameter's schedule per recording: `values` by the true regime of each step, `delay` s late.
@@ -131,13 +202,13 @@ class Cases:
         Args:
             filter_name: one of the problem's.
             parameters: as in `Problem.run`.
-            names: of the problem's quantities, "nll" or "nis".
+            names: of the problem's quantities, or such that need no truth.
             decision_interval: filter steps per row of a schedule; the batch's own by default.
 
         Raises ValueError where a quantity needs a truth that the recordings lack.
         """
-        blind = [name for name in names if name in BLIND]
-        seen = [name for name in names if name not in BLIND]
+        blind = [name for name in names if self._is_blind(name)]
+        seen = [name for name in names if name not in blind]
         told = (filter_name, parameters, decision_interval)
         if self.problem.scoring.at_once is None:  # one run tells all
             parts = [self._judged(*told, seen, blind)]
@@ -167,7 +238,7 @@ class Cases:
         if seen:
             made |= self.problem.scoring.errors(self.batch, run.states, seen, self.span)
         if blind:
-            made |= self._innovations(run)
+            made |= self._innovations(run, blind)
         return Judged(made, run.diverged.astype(np.bool_), spent)
 
     def _a_few_at_a_time(
@@ -199,17 +270,28 @@ class Cases:
             listed = isinstance(parameters, list)
             yield self.take(which), [parameters[i] for i in which] if listed else parameters
 
-    def _innovations(self, run: Run) -> dict[str, Array]:
-        """What the innovations of a run say, where they are judged."""
+    def _innovations(self, run: Run, names: Sequence[str]) -> dict[str, Array]:
+        """What the innovations of a run say by `names`, where they are judged."""
         scoring = self.problem.scoring
         judged = scoring.scored(self.batch, self.span)
+        made = {n: self._one_step(run, n, judged) for n in names if n not in (NLL.name, NIS.name)}
+        if len(made) == len(names):
+            return made
         logs, nis = (np.where(judged, each, np.nan) for each in (run.log_likelihood, run.nis))
         components = run.components
         if scoring.at_once is not None:  # few recordings: nothing is added up before and after
             inside = np.flatnonzero(judged.any(axis=0))
             cut = slice(inside[0], inside[-1] + 1)
             logs, nis, components = logs[:, cut], nis[:, cut], components[:, cut]
-        return innovation_quantities(logs, nis, components)
+        found = made | innovation_quantities(logs, nis, components)
+        return {name: found[name] for name in names}
+
+    def _one_step(self, run: Run, name: str, judged: NDArray[np.bool_]) -> Array:
+        """A one-step error of each run (N,), infinite where a filter failed on the way."""
+        factors, most = self._step(name)
+        heard = np.where(judged[..., None], run.innovations, np.nan)
+        failed = (judged & ~np.isfinite(run.states).all(axis=-1)).any(axis=1)
+        return np.where(failed, np.inf, one_step_error(cut_squares(heard, factors, most)))
 
     def trace(
         self, filter_name: str, parameters: Any, name: str, decision_interval: int | None = None
@@ -218,20 +300,57 @@ class Cases:
         its NIS, per component; NaN where there is nothing to judge.
         """
         scoring = self.problem.scoring
-        if name not in BLIND:
+        if not self._is_blind(name):
             run = self.problem.run(filter_name, self.batch, parameters, decision_interval)
             return scoring.squared(self.batch, run.states, name, self.span)
         rows = []
         for part, own in self._parts(parameters):
             run = self.problem.run(filter_name, part.batch, own, decision_interval, everything=True)
-            each = -run.log_likelihood if name == "nll" else run.nis
             if scoring.settling:  # how a filter settles is worth seeing, though it is not judged
                 shown = np.arange(part.batch.steps) < part.batch.lengths[:, None]
             else:
                 shown = scoring.scored(part.batch, self.span)
-            heard = shown & (run.components > 0)
-            rows.append(np.where(heard, each, np.nan) / np.maximum(run.components, 1))
+            rows.append(np.where(shown, part._each(run, name), np.nan))
         return np.concatenate(rows)
+
+    def _each(self, run: Run, name: str) -> Array:
+        """What each step adds to a quantity that needs no truth, (N, T); NaN where nothing was heard."""
+        if name in (NLL.name, NIS.name):
+            each = -run.log_likelihood if name == NLL.name else run.nis
+            return np.where(run.components > 0, each, np.nan) / np.maximum(run.components, 1)
+        squares = cut_squares(run.innovations, *self._step(name))
+        known = np.isfinite(squares)
+        return np.where(known.any(axis=-1), np.where(known, squares, 0.0).sum(axis=-1), np.nan)
+
+    # ---- whether covariances tell the truth
+
+    def consistency(
+        self, filter_name: str, parameters: Any, decision_interval: int | None = None
+    ) -> tuple[Consistency | None, Consistency | None]:
+        """Mean NIS, and mean NEES where the truth is known, per degree of freedom with their bands.
+
+        Of decks the first `JUDGED` recordings are looked at. None where a filter failed at once.
+        """
+        scoring, done = self.problem.scoring, 0
+        told: list[tuple[Array, Array, Array, int]] = []
+        for part, own in self._parts(parameters):
+            if done >= JUDGED and scoring.at_once is not None:
+                break
+            run = self.problem.run(filter_name, part.batch, own, decision_interval, everything=True)
+            judged = scoring.scored(part.batch, self.span)
+            nis = np.where(judged & (run.components > 0), run.nis, np.nan)
+            nees = np.full_like(nis, np.nan)
+            if part.has_truth:
+                nees = np.where(judged, scoring.nees(part.batch, run), np.nan)
+            told.append((nis.ravel(), run.components.ravel(), nees.ravel(), len(part)))
+            done += len(part)
+        nis, dof, nees = (np.concatenate([t[i] for t in told]) for i in range(3))
+        size = self._judged_states()
+        return _judge(nis, dof), _judge(nees * size, np.full(len(nees), size), done * size)
+
+    def _judged_states(self) -> int:
+        """How many states the truth, and so NEES, is about."""
+        return 1 if self.batch.truth is None else int(self.batch.truth.shape[-1])
 
     # ---- the error that counts
 
@@ -258,6 +377,13 @@ class Cases:
     def plain_errors(self) -> Array:
         """The first quantity of each run (N,) of the filter that needs no tuning."""
         return self.errors(self.plain)[0]
+
+
+def _judge(squares: Array, dof: Any, independent: float | None = None) -> Consistency | None:
+    known = np.isfinite(squares) & (np.asarray(dof) > 0)
+    if not known.any():
+        return None
+    return per_degree(squares[known], np.asarray(dof)[known], independent=independent)
 
 
 @travelling

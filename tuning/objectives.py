@@ -109,7 +109,7 @@ class Objective:
         measure: str | None = None,
     ) -> None:
         self.cases = cases if isinstance(cases, Cases) else _stacked(cases)
-        whole = self.cases.problem.find(filter_name).space
+        whole = self.cases.space(filter_name)
         self.filter_name = filter_name
         self.space = _space(whole, free)
         self.fixed = dict(fixed or {})
@@ -132,7 +132,7 @@ class Objective:
     @property
     def about(self) -> dict[str, Any]:
         """Filter, fixed parameters, metric and recordings."""
-        whole = self.cases.problem.find(self.filter_name).space
+        whole = self.cases.space(self.filter_name)
         rest = [name for name in whole.names if name not in self.space.names]
         held = whole.defaults | self.fixed
         return {
@@ -194,14 +194,28 @@ def checked_measure(cases: Cases, name: str | None) -> Measure:
     if measure.needs_truth and not cases.has_truth:
         raise ValueError(
             f"measure {measure.name!r} needs the truth, which these recordings lack: use "
-            "'likelihood', which judges a filter by its own predictions."
+            f"{cases.foretold.name!r}, which judges a filter by what it foretells."
         )
     return measure
 
 
 def plain_quantities(cases: Cases, measure: Measure) -> dict[str, Array]:
-    """The measure's quantities (N,) of the filter that needs no tuning."""
-    return dict(cases.judge(cases.plain, None, tuple(measure.quantities)).quantities)
+    """The measure's quantities (N,) of the filter that needs no tuning.
+
+    Raises ValueError where it has none: there is nothing to hold other filters against.
+    """
+    found = dict(cases.judge(cases.plain, None, tuple(measure.quantities)).quantities)
+    for name, each in found.items():
+        bad = np.flatnonzero(~np.isfinite(each))
+        if len(bad):
+            what, part = measure.quantities[name].label, cases.about.get("scored")
+            where = f" between {part[0]:.0%} and {part[1]:.0%} of its length" if part else ""
+            raise ValueError(
+                f"recording {bad[0]}{where} gives the plain filter {cases.plain!r} no {what}: it holds "
+                "nothing to judge by there, or the filter fails on it. Use a longer recording, another "
+                "measure, or a model that fits what was measured."
+            )
+    return found
 
 
 def _space(whole: ParameterSpace, free: Iterable[str | Parameter]) -> ParameterSpace:

@@ -1,4 +1,4 @@
-"""What an AUV's estimates are judged by: position."""
+"""What an AUV's estimates are judged by: position, or what is measured next."""
 
 from __future__ import annotations
 
@@ -50,3 +50,23 @@ def nees(batch: Batch, run: Run) -> Array:
     assert batch.truth is not None
     found: Array = normalised(run.states, run.covariances, batch.truth) / run.states.shape[-1]
     return found
+
+
+def rows(batch: Batch) -> dict[str, Array]:
+    """Innovations (N, m) that are of position fixes, and of velocities, by name; see `Scoring.rows`.
+
+    A row is of a position if it sees a state that is one, and of a velocity if it sees velocities only.
+    A nonlinear model's ranges and bearings are neither.
+    """
+    if not batch.linear:
+        return {}
+    seen = (batch.models["H"] != 0.0).any(axis=1)  # (N, m, n)
+    moving = list(batch.recordings[0].model.velocity) if batch.recordings else []
+    fixes = seen[..., list(batch.position)].any(axis=-1)
+    found = {"fixes": fixes, "velocities": seen[..., moving].any(axis=-1) & ~fixes}
+    received = ~batch.lost.all(axis=1)
+    return {
+        name: mask.astype(np.float64)
+        for name, mask in found.items()
+        if (mask & received).any(axis=1).all()
+    }

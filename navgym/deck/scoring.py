@@ -12,6 +12,7 @@ from navgym.deck.alignment import FLEXING
 from navgym.deck.batch import DeckBatch
 from navgym.deck.errors import deck_errors, run_errors
 from navgym.deck.settings import START
+from navgym.inertial.flexure import ARCMIN
 from navgym.metrics.consistency import nees as normalised
 from navgym.problem import Run, Span
 
@@ -61,3 +62,13 @@ def nees(batch: DeckBatch, run: Run) -> Array:
     own, P = run.states[..., FLEXING], run.covariances[..., FLEXING, FLEXING]
     found: Array = normalised(own, P, truth) / truth.shape[-1]
     return found
+
+
+def rows(batch: DeckBatch) -> dict[str, Array]:
+    """Innovations (N, 6) of the matched rates, ′/s; see `Scoring.rows`.
+
+    The first three rows match velocities: what they foretell is the lever arm more than the deck.
+    """
+    factors = np.zeros((len(batch), 6))
+    factors[:, 3:] = 1.0 / ARCMIN
+    return {"rates": factors}

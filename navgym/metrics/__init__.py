@@ -21,6 +21,7 @@ from navgym.metrics.consistency import (
     mean_nis_band,
     nees,
     nis_band,
+    per_degree,
 )
 from navgym.metrics.errors import (
     DIVERGED_MULTIPLE,
@@ -36,6 +37,6 @@ from navgym.metrics.errors import (
 __all__ = [
     "DIVERGED_MULTIPLE", "Consistency", "ErrorSummary", "LossBounds", "PairedDifference",
     "SteadyState", "consistency", "critical_arrival_rate", "degrees_of_freedom", "divergence",
-    "holm", "loss_bounds", "mean_nis_band", "nees", "nis_band", "paired_difference", "rms",
+    "holm", "loss_bounds", "mean_nis_band", "nees", "nis_band", "paired_difference", "per_degree", "rms",
     "run_rmse", "score", "squared_error", "steady_state", "summarize", "time_rmse",
 ]  # fmt: skip

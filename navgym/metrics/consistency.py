@@ -137,3 +137,33 @@ def consistency(nis: ArrayLike, dof: ArrayLike, confidence: float = 0.95) -> Con
     return Consistency(
         len(values), float(values.mean()), float(low), float(high), float(inside.mean())
     )
+
+
+def per_degree(
+    squares: ArrayLike, dof: ArrayLike, confidence: float = 0.95, independent: float | None = None
+) -> Consistency:
+    """Judge NIS or NEES per degree of freedom: the mean is 1 for a covariance that tells the truth.
+
+    Args:
+        squares: NIS or NEES of any shape; NaN where there is nothing to judge.
+        dof: degrees of freedom of each.
+        confidence: of both bands.
+        independent: how many of all degrees of freedom are independent; all of them by default. Errors
+            of estimates are correlated in time, so for NEES count those of one moment.
+
+    Raises ValueError if there is nothing to judge.
+    """
+    found = consistency(squares, dof, confidence)
+    values = real_array("squares", squares, finite=False)
+    k = np.broadcast_to(real_array("dof", dof), values.shape)
+    judged = ~np.isnan(values) & (k > 0)
+    total = float(k[judged].sum())
+    free = total if independent is None else independent
+    low, high = nis_band(free, confidence)
+    return Consistency(
+        found.samples,
+        float(values[judged].sum() / total),
+        float(low / free),
+        float(high / free),
+        found.inside,
+    )

@@ -1,8 +1,10 @@
 """What a run is judged by: quantities that filters' outputs hold, and measures made of them.
 
 A *quantity* is one number per recording, the smaller the better: an error against the truth, or,
-for logs without truth, how badly the filter predicts its own measurements. A *measure* is a quantity,
-or the mean of several, each over the plain filter's.
+for logs without truth, how badly the filter predicts its own measurements. Of the latter a *one-step
+error* is the root of the mean squared innovation of some rows, each square cut where the plain filter's
+innovations would call it an outlier. A *measure* is a quantity, or the mean of several, each over the
+plain filter's.
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ class Quantity:
         needs_truth: whether it compares with the truth.
         worst: what a diverged run counts as: so many times the plain filter's, or, where `added`,
             so much more than the plain filter's.
-        added: see `worst`; for logarithms, which have no zero to multiply.
+        added: see `worst`; for logarithms, which have no zero to multiply or to take a share of.
+        clip: of a one-step error: a row's innovation counts as at most so many robust deviations of
+            the plain filter's.
     """
 
     name: str
@@ -40,6 +44,12 @@ class Quantity:
     needs_truth: bool = True
     worst: float = DIVERGED_MULTIPLE
     added: bool = False
+    clip: float = math.inf
+
+    @property
+    def axis(self) -> str:
+        """Label and unit."""
+        return f"{self.label}, {self.unit}" if self.unit else self.label
 
     def ceiling(self, plain: Array) -> Array:
         """What a diverged run counts as (N,), given the plain filter's (N,)."""
@@ -47,9 +57,13 @@ class Quantity:
 
 
 # what every filter says of its own measurements
-NLL = Quantity("nll", "innovation NLL", "nats", needs_truth=False, worst=10.0, added=True)
+NLL = Quantity("nll", "innovation NLL", "nats per component", needs_truth=False, worst=10.0, added=True)  # fmt: skip
 NIS = Quantity("nis", "|ln NIS|", "", needs_truth=False, worst=math.log(1e4), added=True)
-BLIND: Mapping[str, Quantity] = MappingProxyType({q.name: q for q in (NLL, NIS)})
+# Three deviations: below, steps after a gap are cut as well, and what a filter does in a gap is what
+# tells filters apart; above, single outliers choose the parameters. See `navgym headroom --measures`.
+CLIP = 3.0
+ONE_STEP = Quantity("one_step", "one-step error over the plain filter's spread", "", needs_truth=False, clip=CLIP)  # fmt: skip
+ROBUST = 1.4826  # a normal law's deviation over its median absolute value
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +108,11 @@ class Measure:
         return any(q.needs_truth for q in self.quantities.values())
 
     @property
+    def relative(self) -> bool:
+        """Whether one filter's may be told as a share of another's: not so of logarithms."""
+        return not self.parts[0].added
+
+    @property
     def unit(self) -> str:
         """Physical unit; "" for a mean of ratios."""
         return self.parts[0].unit if len(self.parts) == 1 else ""
@@ -134,9 +153,18 @@ METRICS: Mapping[str, Any] = MappingProxyType(
 )
 
 
+ANYWHERE = (
+    Measure("one_step", "one-step error of all rows, each over the plain filter's spread: needs no truth", (ONE_STEP,)),
+    LIKELIHOOD,
+    CONSISTENCY,
+)  # fmt: skip
+
+
 def by_name(*measures: Measure) -> Mapping[str, Measure]:
-    """`measures` by name, then those that need no truth; the first is the default."""
-    return MappingProxyType({m.name: m for m in (*measures, LIKELIHOOD, CONSISTENCY)})
+    """`measures` by name, then those that every problem has and that need no truth; the first is the
+    default where the truth is known.
+    """
+    return MappingProxyType({m.name: m for m in (*measures, *ANYWHERE)})
 
 
 def bounded(
@@ -158,6 +186,39 @@ def bounded(
         bad = found.flags | ~np.isfinite(each) | ~(each <= ceiling)
         kept[name] = np.where(bad, ceiling, each)
     return kept
+
+
+def spreads(innovations: Array) -> Array:
+    """Robust deviation (N, m) of each row's innovations (N, T, m); infinite where there are none, or
+    where more than half of them vanish.
+    """
+    known = np.isfinite(innovations)
+    size = np.abs(np.where(known, innovations, 0.0))
+    count = known.sum(axis=1)
+    ordered = np.sort(np.where(known, size, np.inf), axis=1)
+    middle = np.take_along_axis(ordered, np.maximum((count - 1) // 2, 0)[:, None, :], axis=1)[:, 0]
+    return np.where((count > 0) & (middle > 0.0), ROBUST * middle, np.inf)
+
+
+def cut_squares(innovations: Array, factors: Array, most: Array) -> Array:
+    """Squared innovations (N, T, m), each row cut at `most` (N, m) and in units of 1/`factors` (N, m).
+
+    NaN where nothing was received, and in rows whose factor is 0.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        size = np.minimum(np.abs(innovations), most[:, None, :]) * factors[:, None, :]
+        return np.where(factors[:, None, :] != 0.0, size**2, np.nan)
+
+
+def one_step_error(squares: Array) -> Array:
+    """Root of the sum over rows of each row's mean over time, (N,), of `cut_squares` (N, T, m).
+
+    For rows that are coordinates it is a length. NaN where nothing was received.
+    """
+    known = np.isfinite(squares)
+    count = known.sum(axis=1)
+    rows = np.where(known, squares, 0.0).sum(axis=1) / np.maximum(count, 1)
+    return np.where(count.any(axis=1), np.sqrt(rows.sum(axis=1)), np.nan)
 
 
 def innovation_quantities(

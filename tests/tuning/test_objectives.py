@@ -58,6 +58,85 @@ def test_a_matched_filter_is_more_likely_and_more_consistent_than_a_wrong_one():
     assert right == pytest.approx(deviation * np.sqrt(2.0 / np.pi), abs=4.0 * spread)
 
 
+def test_the_one_step_error_of_the_fixes_is_that_of_the_predictions_in_metres(cases):
+    """By hand: |y - H x⁻| of the position rows, each cut at three deviations of the plain filter's."""
+    found = cases.judge("qivbf", None, ("fixes",)).quantities["fixes"]
+    for i, recording in enumerate(cases.recordings):
+        model, y, total = recording.model, recording.measurements, 0.0
+        for row in (0, 2):
+            e, plain = (
+                y[:, row] - _foretold(model, navgym.estimate(name, recording))[:, row]
+                for name in ("qivbf", "kf")
+            )
+            heard = ~np.isnan(e)
+            most = 3.0 * 1.4826 * np.quantile(np.abs(plain[heard]), 0.5, method="lower")
+            total += np.mean(np.minimum(np.abs(e[heard]), most) ** 2)
+        assert found[i] == pytest.approx(np.sqrt(total), rel=1e-9)
+
+
+def _foretold(model, estimate):
+    before = np.concatenate([model.x0[None], estimate.states[:-1]])
+    return before @ model.F.T @ model.H.T
+
+
+@pytest.mark.parametrize(
+    ("reads", "name"), [((0, 1, 2, 3), "fixes"), ((0, 2), "fixes"), ((1, 3), "velocities")]
+)
+def test_what_is_foretold_is_what_is_measured(reads, name):
+    model = navgym.LinearModel(H=np.eye(4)[list(reads)], R=np.eye(len(reads)))
+    y = np.random.default_rng(0).normal(size=(50, len(reads))).cumsum(axis=0)
+    cases = Cases.of([navgym.Recording(np.arange(50.0), y, model=model)])
+    assert cases.foretold.name == name
+    goal = Objective("kf", ["process_noise_scale"], cases, measure=name)
+    assert 0.0 < goal({"process_noise_scale": 3.0}) < np.inf
+    if name == "velocities":
+        with pytest.raises(ValueError, match=r"fixes.*hold none: use 'velocities'"):
+            Objective("kf", ["process_noise_scale"], cases, measure="fixes")
+
+
+def test_positions_that_are_never_received_are_not_foretold():
+    y = np.random.default_rng(0).normal(size=(50, 4))
+    y[:, [0, 2]] = np.nan
+    assert Cases.of([navgym.Recording(np.arange(50.0), y)]).foretold.name == "velocities"
+
+
+def test_ranges_and_bearings_are_judged_by_the_spread_of_the_plain_filter():
+    cases = Cases.simulated("auv/coordinated-turn", "train", 2, steps=100)
+    assert cases.foretold.name == "one_step"
+    found = cases.judge("ekf", None, ("one_step",)).quantities["one_step"]
+    np.testing.assert_allclose(
+        found, 1.0, rtol=0.2
+    )  # normal innovations are as wide as their spread
+
+
+def test_one_step_errors_are_cut_alike_in_parts_of_a_log_and_for_every_filter(cases):
+    part = Cases.of(cases.recordings, span=(0.5, 1.0))
+    np.testing.assert_array_equal(part.spreads, cases.spreads)
+    np.testing.assert_array_equal(cases.take([2, 0]).spreads, cases.spreads[[2, 0]])
+
+
+def test_a_part_that_holds_nothing_to_judge_by_is_refused_in_words():
+    y = np.random.default_rng(0).normal(size=(40, 4))
+    y[20:] = np.nan
+    recording = navgym.Recording(np.arange(40.0), y)
+    cases = Cases.of([recording], {"scored": [0.5, 1.0]}, (0.5, 1.0))
+    with pytest.raises(ValueError, match=r"between 50% and 100% .*no one-step error of the pos"):
+        Objective("kf", ["process_noise_scale"], cases, measure="fixes")
+
+
+def test_consistency_is_one_for_a_filter_whose_model_is_right():
+    cases = Cases.simulated("auv/nominal", "train", 20, steps=200, loss=0.3)
+    nis, nees = cases.consistency("kf", None)
+    assert nis.consistent
+    assert nees.consistent
+    assert nis.samples < nees.samples == 20 * 200  # a third of the samples was lost
+    doubted, _ = cases.consistency(
+        "kf", {"process_noise_scale": 4.0, "measurement_noise_scale": 4.0}
+    )
+    assert doubted.mean == pytest.approx(nis.mean / 4.0, rel=0.02)  # P0 stays
+    assert not doubted.consistent
+
+
 def test_the_likelihood_needs_no_truth(cases):
     blind = [
         navgym.Recording(r.time, r.measurements, r.lost, model=r.model) for r in cases.recordings
