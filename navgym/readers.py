@@ -233,6 +233,8 @@ class ReaderOptions:
         kind = f"option of format {format_name!r}:"
         mapped, given = self._mapped(), self._given()
         for name in given:
+            if not known:
+                raise ValueError(f"format {format_name!r} takes no options, got {name!r}.")
             one_of(kind, name, known)
         told = {name: hints[name] for name in known}
         said = {} if mapped is None else mapped.options(told, _value)

@@ -12,7 +12,7 @@ from navgym.core.machine import cores
 from navgym.core.parameters import Parameter
 from navgym.metrics.measures import METRICS
 from navgym.problem import Amount, Problem, problem_of, problems, problems_with
-from navgym.readers import formats
+from navgym.readers import ReaderOptions
 from navgym.simulation import scenarios
 from navgym.tuning.objectives import find_measure, narrowed
 from navgym.tuning.study.run import STUDY
@@ -55,7 +55,10 @@ class StudySettings:
         log: tune on these real logs instead. Without --report-log the first half of each is tuned on,
             the next fifth chooses among the leaders, and the report is on the rest.
         report_log: logs to report on.
-        format: of the logs: csv, deck_csv or another that navgym.read knows.
+        read: what the logs' reader is told: pairs of an option and its value, such as:
+            position_noise 5 columns.px "north (m)"; before them, if you like, a mapping file, NAME.toml.
+        format: of the logs: csv, deck_csv, npz or another that navgym.read knows (default: what they
+            look like).
         akit: folder of the A-KIT tracks: tune on 1 to 3 without their truth, report on 4 to 6.
         free: parameters to vary; all for every one. By default, of a variational filter on simulated
             conditions, the four that matter there; otherwise every one.
@@ -88,7 +91,8 @@ class StudySettings:
     overrides: dict[str, float] = field(default_factory=dict)
     log: tuple[Path, ...] = ()
     report_log: tuple[Path, ...] = ()
-    format: str = "csv"
+    read: tuple[str, ...] = ()
+    format: str | None = None
     akit: Path | None = None
     free: tuple[str, ...] = ()
     fix: dict[str, str] = field(default_factory=dict)
@@ -144,8 +148,12 @@ class StudySettings:
         for path in (*self.log, *self.report_log):
             if not path.exists():
                 raise FileNotFoundError(f"no log at {path}: give the path of a file.")
-        if self.log:
-            one_of("format", self.format, formats())
+        if self.read and not self.log:
+            raise ValueError("--read is for the reader of --log: name the logs too.")
+        for path in (*self.log, *self.report_log):
+            self.reading.options(self.reading.format_of(path))
+            if self.reading.problem(path) is not self.problem:
+                raise ValueError(f"{self.log[0]} and {path} are logs of different problems.")
         self._check_problem()
 
     def _check_problem(self) -> None:
@@ -156,7 +164,9 @@ class StudySettings:
         able = " or ".join(f"{p.name}/…" for p in problems_with(self.filter))
         what = f"scenario {', '.join(self.scenario)}"
         if not self.simulated:
-            what = f"logs of format {self.format!r}" if self.log else f"the tracks in {self.akit}"
+            what = f"the tracks in {self.akit}"
+            if self.log:
+                what = f"logs of format {self.reading.format_of(self.log[0])!r}"
         raise ValueError(
             f"filter {self.filter!r} and {what} are of different problems: choose recordings of "
             f"{able}, or another filter."
@@ -168,12 +178,17 @@ class StudySettings:
         return not self.log and self.akit is None
 
     @property
+    def reading(self) -> ReaderOptions:
+        """How logs are read."""
+        return ReaderOptions.parsed(self.read, self.format)
+
+    @property
     def problem(self) -> Problem:
-        """Whose filter is tuned: that of the tracks, of the logs' format, or of the scenario."""
+        """Whose filter is tuned: that of the tracks, of the logs, or of the scenario."""
         if self.akit is not None:
             return next(p for p in problems() if p.tracks is not None and p.tracks.name == "akit")
         if self.log:
-            return next(p for p in problems() if self.format in p.readers)
+            return self.reading.problem(self.log[0])
         return problem_of(self.scenario[0])
 
     @property

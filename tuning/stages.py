@@ -5,15 +5,16 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from navgym.problem import Amount, Problem
-from navgym.readers import read
+from navgym.readers import ReaderOptions
 from navgym.tuning.cases import Cases
 from navgym.tuning.experiments import real_cases
 from navgym.tuning.settings import StudySettings
-from navgym.tuning.study.recipes import travelling
+from navgym.tuning.study.recipes import KEPT, travelling
 
 # shares of a log that is tuned on up to here, and chosen among leaders up to there
 TUNED, CHOSEN = 0.5, 0.7
@@ -88,19 +89,42 @@ def _logs(settings: StudySettings) -> Stages:
             f"the first {TUNED:.0%} of each log was tuned on, the samples up to {CHOSEN:.0%} chose "
             "among the leaders, the rest is reported on"
         )
-    made = [{"logs": logged(settings.format, paths, span)} for paths, span in spans]
+    made = [{"logs": logged(settings.reading, paths, span)} for paths, span in spans]
     return Stages(made[0], made[1], made[2], how)
 
 
 @travelling
-def logged(format_name: str, paths: tuple[Path, ...], span: tuple[float, float]) -> Cases:
+def logged(reading: ReaderOptions, paths: tuple[Path, ...], span: tuple[float, float]) -> Cases:
     """Logs as cases that are scored between two shares of their samples."""
-    recordings = [read(format_name, path) for path in paths]
-    about = {
-        "logs": [f"{p.name} ({hashlib.sha256(p.read_bytes()).hexdigest()[:8]})" for p in paths],
-        "scored": list(span),
-    }
-    return Cases.of(recordings, about, span)
+    about: dict[str, Any] = {"logs": [_printed(path) for path in paths]}
+    told = _told(reading)
+    about |= {"read": told} if told else {}
+    prints = zip(paths, about["logs"], strict=True)
+    recordings = [_read(reading, path, (own, *told)) for path, own in prints]
+    return Cases.of(recordings, about | {"scored": list(span)}, span)
+
+
+@lru_cache(maxsize=KEPT)
+def _read(reading: ReaderOptions, path: Path, _prints: tuple[str, ...]) -> Any:
+    """A log, which serves up to three stages; one whose files have changed is read again."""
+    return reading.read(path)
+
+
+def _printed(path: Path) -> str:
+    """A log's name and fingerprint; a folder has its files' names and sizes for one."""
+    if path.is_dir():
+        files = sorted(p for p in path.rglob("*") if p.is_file())
+        content = "\n".join(f"{p.relative_to(path)} {p.stat().st_size}" for p in files).encode()
+    else:
+        content = path.read_bytes()
+    return f"{path.name} ({hashlib.sha256(content).hexdigest()[:8]})"
+
+
+def _told(reading: ReaderOptions) -> list[str]:
+    """What the reader was told; of files, such as mappings, their fingerprints too."""
+    files = {word: Path(word) for word in reading.words if word.endswith((".toml", ".npz"))}
+    words = [_printed(files[w]) if w in files and files[w].is_file() else w for w in reading.words]
+    return words if reading.format is None else [f"format {reading.format}", *words]
 
 
 # ---- real tracks

@@ -18,6 +18,7 @@ ABOUT = """Find the parameters of a filter, and say how much they gain on data t
     navgym tune --scenario auv/heavy --free all     other conditions, every parameter
     navgym tune --filter alignment_mcc --scenario deck/switch-60
     navgym tune --filter kf --log monday.csv --report-log tuesday.csv
+    navgym tune --filter kf --log my.csv --read position_noise 5 columns.px "north (m)"
     navgym tune --akit FOLDER                       real tracks, tuned without their truth
     navgym tune --config runs/tune/settings.toml --seed 1
 
