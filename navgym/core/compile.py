@@ -29,6 +29,8 @@ from typing import Any, TypeVar, cast
 import numba
 import numpy as np
 
+from navgym.core.kernel_cache import cache_of
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _PACKAGE = Path(__file__).parents[1]
@@ -101,21 +103,12 @@ def _imported(text: str) -> set[str]:
 
 
 def kernel(function: Function) -> Function:
-    """Compile `function` (nopython, no GIL, disk cache).
-
-    Raises RuntimeError, naming the remedy, when no folder for the cache can be written.
-    """
+    """Compile `function` (nopython, no GIL), its compiled code kept on disk where that is safe."""
     if _PLAIN:
         return _interpreted(function)
     function.__qualname__ += f"-{_fingerprint(inspect.getfile(function))}"
-    try:
-        compiled: Any = numba.njit(cache=True, error_model="numpy", nogil=True)(function)
-    except RuntimeError as error:
-        raise RuntimeError(
-            f"navgym cannot cache its compiled kernels beside {_PACKAGE} or in your home folder "
-            f"({error}). Set the environment variable NUMBA_CACHE_DIR to a folder that you can "
-            "write to, for example NUMBA_CACHE_DIR=/tmp/navgym-cache."
-        ) from error
+    compiled: Any = numba.njit(error_model="numpy", nogil=True)(function)
+    compiled._cache = cache_of(function)
     return cast(Function, compiled)
 
 
