@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from navgym.core.checks import Array, one_of, real_array, shaped, within
 from navgym.core.tables import Table, read_table, write_table
+from navgym.core.typed import typed
 from navgym.deck.model import DeckModel
 from navgym.deck.public_logs import fitted
 from navgym.deck.recording import DualIMURecording, resample, turning
@@ -27,6 +28,7 @@ GYRO_UNITS: Mapping[str, float] = {
 UNITS = ("main", "sub", "ref1", "ref2")
 QUATERNION = ("qx", "qy", "qz", "qw")
 FIX = {"latitude": 90.0, "longitude": 180.0}  # largest magnitudes, °
+STEP = 0.05  # s: filter steps shorter than this gain nothing
 WINDOW = 1.0  # s: rates and forces of both references are compared as means over this long
 REWEIGHTINGS = 4  # of rates against forces; their residuals settle in two or three
 
@@ -45,7 +47,7 @@ def read_deck_csv(
     gyro_unit: str = "deg/h",
     lever_arm: ArrayLike | None = None,
     samples_per_step: int | None = None,
-    model: DeckModel | None = None,
+    model: Mapping[str, Any] | DeckModel | None = None,
     deviation1: Sequence[float] = (0.0, 0.0, 0.0),
     deviation2: Sequence[float] = (0.0, 0.0, 0.0),
     reference: bool = True,
@@ -87,9 +89,12 @@ def read_deck_csv(
     Args:
         path: the file.
         gyro_unit: of all gyro columns, "deg/h" (the paper's), "deg/s" or "rad/s".
-        lever_arm: (3,) m, from main to sub IMU in the main IMU's axes; by default the model's.
-        samples_per_step: samples in a filter step; by default the model's.
-        model: what a filter is to believe; `DeckModel()`, IDAM section 5, by default.
+        lever_arm: (3,) m, from main to sub IMU in the main IMU's axes. It is needed, here or in the
+            model: with a wrong one the errors are metres per second, and nobody would see it.
+        samples_per_step: samples in a filter step; by default the model's, or as many as make
+            `STEP` s.
+        model: what a filter is to believe: a `DeckModel`, or its fields as a dict. What is not told
+            is as in IDAM section 5, a ship of its flexure and IMUs of its quality; `meta` says so.
         deviation1: degrees, pitch, roll and heading of the main IMU in the axes of ref1 (the
             paper's table 2): C_main^ref1 = R_z(heading) R_y(pitch) R_x(roll).
         deviation2: the same of the sub IMU in the axes of ref2.
@@ -107,17 +112,20 @@ def read_deck_csv(
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: naming line and column, for text, infinity, gaps and duplicates in time, a gap
+        ValueError: no lever arm; naming line and column, for text, infinity, gaps and duplicates in time, a gap
             in a reference; unknown or missing columns; units that cannot be.
     """
     scale = GYRO_UNITS[one_of("gyro_unit", gyro_unit, GYRO_UNITS)]
     one_of("extra", extra, ("raise", "ignore"))
     within("time_scale", time_scale, 0.0, above=True)
-    believed = _believed(model, lever_arm, samples_per_step)
+    _check_model(model)
     table = _renamed(read_table(path, delimiter), columns)
     _check_columns(table, extra)
+    lever, told = _lever(table.path, model, lever_arm), _told(model, samples_per_step)
     time = _times(table, time_scale, regular)
     log = _Log(table, time, _grid(time) if regular else time, scale, longest_gap)
+    believed = replace(_believed(model, told, log.grid), lever_arm=lever)
+    notes = _notes(model, told, believed, gyro_unit)
     sides = (_installed("deviation1", deviation1), _installed("deviation2", deviation2))
     return DualIMURecording.from_rates(
         log.grid,
@@ -127,7 +135,7 @@ def read_deck_csv(
         model=believed,
         attitude=log.reference(believed.lever_arm, sides) if reference else None,
         check_units=check_units,
-        meta={"format": "deck_csv", "file": table.path.name} | _fix(table),
+        meta={"format": "deck_csv", "file": table.path.name, "reading": notes} | _fix(table),
     )
 
 
@@ -258,14 +266,63 @@ def _means(values: Array, count: int) -> Array:
     return means
 
 
+def _check_model(model: object) -> None:
+    if model is not None and not isinstance(model, (DeckModel, Mapping)):
+        raise ValueError(
+            f"model must be a navgym.DeckModel or a dict of its fields, got {model!r}."
+        )
+
+
+def _lever(path: Path, model: Mapping[str, Any] | DeckModel | None, told: object) -> Array:
+    """The lever arm, (3,) m; ValueError where nobody told it."""
+    if told is None and isinstance(model, DeckModel):
+        return np.array(model.lever_arm)
+    found: Any = model.get("lever_arm") if told is None and isinstance(model, Mapping) else told
+    if found is None:
+        raise ValueError(
+            f"{path.name}: where the sub IMU stands is not known: pass lever_arm=(x, y, z), "
+            "m, from the main to the sub IMU in the main IMU's axes."
+        )
+    lever = real_array("lever_arm", found)
+    shaped("lever_arm", lever, (3,), "m, along x, y and z of the main IMU")
+    return lever
+
+
+def _told(model: Mapping[str, Any] | DeckModel | None, samples: int | None) -> dict[str, Any]:
+    """Fields of the model that were told one by one."""
+    given = dict(model) if isinstance(model, Mapping) else {}
+    return given | ({} if samples is None else {"samples_per_step": samples})
+
+
 def _believed(
-    model: DeckModel | None, lever_arm: ArrayLike | None, samples_per_step: int | None
+    model: Mapping[str, Any] | DeckModel | None, told: Mapping[str, Any], time: Array
 ) -> DeckModel:
-    if model is not None and not isinstance(model, DeckModel):
-        raise ValueError(f"model must be a navgym.DeckModel, got {model!r}.")
-    changes: dict[str, Any] = {"lever_arm": lever_arm, "samples_per_step": samples_per_step}
-    given = {name: value for name, value in changes.items() if value is not None}
-    return replace(model or DeckModel(), **given)
+    """The model with all that was told, but for the lever arm."""
+    if isinstance(model, DeckModel):
+        return replace(model, **told)
+    samples = max(1, round(STEP * (len(time) - 1) / (time[-1] - time[0]))) if len(time) > 1 else 1
+    found: DeckModel = typed(DeckModel, {"samples_per_step": samples, **told}, "model")
+    return found
+
+
+def _notes(
+    model: object, told: Mapping[str, Any], believed: DeckModel, gyro_unit: str
+) -> list[str]:
+    """What was taken for granted, as sentences."""
+    notes = [f"gyros in {gyro_unit}, accelerometers in m/s²"]
+    if isinstance(model, DeckModel):
+        return notes
+    usual = [
+        f.name for f in fields(DeckModel) if f.name not in (*told, "lever_arm", "samples_per_step")
+    ]
+    if "samples_per_step" not in told:
+        notes.append(f"{believed.samples_per_step} samples make a filter step of about {STEP:g} s")
+    if usual:
+        notes.append(
+            f"taken from IDAM section 5, which may not be your ship's or IMUs': {', '.join(usual)}; "
+            "model= says otherwise"
+        )
+    return notes
 
 
 def _installed(name: str, deviation: Sequence[float]) -> Rotation:

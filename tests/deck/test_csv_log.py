@@ -51,7 +51,9 @@ def log(tmp_path):
 
 
 def read(path, **options):
-    return navgym.read("deck_csv", path, **options)
+    """A log whose lever arm is told."""
+    usual = {} if "model" in options else {"lever_arm": (10.0, 10.0, 2.0)}
+    return navgym.read("deck_csv", path, **usual | options)
 
 
 def rates_of(recording):
@@ -76,7 +78,7 @@ def test_what_was_written_is_read_to_rounding(ship, tmp_path, unit):
 def test_lost_samples_are_empty_cells(ship, tmp_path):
     angle = np.array(ship.sub_angle)
     angle[[5, 6, 900]] = np.nan
-    broken = navgym.read("deck_csv", write_deck_csv(ship, tmp_path / "whole.csv"))
+    broken = read(write_deck_csv(ship, tmp_path / "whole.csv"))
     broken = type(ship)(ship.time, *(getattr(broken, n) for n in IMU[:2]), angle, ship.sub_velocity)
     path = write_deck_csv(broken, tmp_path / "broken.csv")
     assert ",,," in path.read_text().splitlines()[6]
@@ -121,6 +123,30 @@ def test_options_reach_the_model(log):
     assert (kept.rate_noise, kept.samples_per_step) == (1e-3, 2)
 
 
+def test_a_model_may_be_told_field_by_field(log):
+    told = {"lever_arm": (4, 5, 6), "rate_noise": 1e-3}
+    found = read(log(table()), model=told).model
+    assert (found.lever_arm.tolist(), found.rate_noise) == ([4, 5, 6], 1e-3)
+    assert read(log(table()), model=told, lever_arm=(1, 2, 3)).model.lever_arm.tolist() == [1, 2, 3]
+
+
+@pytest.mark.parametrize(("rate", "samples"), [(20.0, 1), (100.0, 5), (200.0, 10)])
+def test_a_filter_step_takes_as_long_at_any_rate(log, rate, samples):
+    columns = table(T=60, time=[k / rate for k in range(60)])
+    recording = read(log(columns))
+    assert recording.model.samples_per_step == samples
+    assert recording.step == pytest.approx(0.05)
+
+
+def test_what_nobody_told_is_said(log):
+    said = " ".join(read(log(table())).meta["reading"])
+    assert "IDAM section 5" in said
+    assert "gyro_bias" in said
+    assert "gyros in deg/h" in said
+    whole = " ".join(read(log(table()), model=DeckModel(lever_arm=(1, 2, 3))).meta["reading"])
+    assert "IDAM" not in whole
+
+
 def test_columns_may_come_in_any_order_and_under_other_names(log):
     columns = dict(reversed(table(main_gyro_x=[7.0] * 20).items()))
     columns = {{"main_gyro_x": "gx 1", "time": "t (ms)"}.get(k, k): v for k, v in columns.items()}
@@ -134,9 +160,9 @@ def test_columns_may_come_in_any_order_and_under_other_names(log):
 
 def test_fixes_go_to_meta_as_means(log):
     fixes = {"latitude": ["", 45.0] * 10, "longitude": [""] * 19 + [-120.5]}
-    assert read(log(table(**fixes))).meta == {
-        "format": "deck_csv", "file": "ship.csv", "latitude": 45.0, "longitude": -120.5
-    }  # fmt: skip
+    meta = read(log(table(**fixes))).meta
+    assert (meta["format"], meta["file"]) == ("deck_csv", "ship.csv")
+    assert (meta["latitude"], meta["longitude"]) == (45.0, -120.5)
     assert "latitude" not in read(log(table(latitude=[""] * 20))).meta
 
 
@@ -332,7 +358,10 @@ def test_a_faulty_log_names_line_and_column(log, changes, message):
         ({"lever_arm": (1, 2)}, r"lever_arm must have shape \(3,\)"),
         ({"samples_per_step": 0}, "samples_per_step must be a whole number"),
         ({"samples_per_step": 11}, "time has 20 samples, two filter steps need 22"),
-        ({"model": 3}, r"model must be a navgym\.DeckModel, got 3"),
+        ({"model": 3}, r"model must be a navgym\.DeckModel or a dict of its fields, got 3"),
+        ({"model": {"lever_arm": (1, 2, 3), "rate": 1}}, "unknown field of model: 'rate'"),
+        ({"model": {"rate_noise": 1e-3}}, "where the sub IMU stands is not known"),
+        ({"lever_arm": None}, r"ship\.csv: where the sub IMU stands is not known: pass lever_arm="),
         ({"extra": "drop"}, "unknown extra 'drop'"),
         ({"time_scale": 0.0}, "time_scale must be a finite number above 0"),
         ({"columns": ["time"]}, "columns must be a dict"),

@@ -85,7 +85,7 @@ def test_a_log_in_the_layout_of_table_1_is_read(ship, tmp_path):
     assert set(head.split(",")) == set(COLUMNS) - {"qx", "qy", "qz", "qw"}
     assert first.count(",") == head.count(",")
     one, two = expected_idam.INSTALLED
-    back = navgym.read("deck_csv", path, deviation1=one, deviation2=two)
+    back = navgym.read("deck_csv", path, lever_arm=(10, 10, 2), deviation1=one, deviation2=two)
     assert back.reference is not None
     assert back.meta["latitude"] == pytest.approx(45.0)
 
