@@ -26,6 +26,10 @@ STREAM = SIGNALS * len(DECAYS)
 ALARM = 5.0  # NIS per received component that counts as an alarm (20 for four components)
 COMMON = 2 * len(DECAYS) + 5  # observations that belong to neither stream
 
+AGREEING = 5  # successive innovations that must agree before a live filter's track counts as lost
+FAR = 5.0  # standard deviations of R that each of them must be at least
+USUAL = 0.1  # share that a new innovation has in what is usual: about ten samples
+
 LOST_TRACK = 1e12  # squared error, m², of a reference filter that failed numerically
 
 DIFFERENCE, OVER_ORACLE, ABSOLUTE, LIKELIHOOD, RELATIVE = range(5)
@@ -74,6 +78,18 @@ def station_type(n: int, m: int, parameters: int) -> np.dtype[Any]:
             ("last", f8, (m,)),
             ("kind", i8, (m,)),  # 0: the measurement observes a position, 1: it does not
             ("position", i8, (n,)),  # 1 where the state is a position
+        ]
+    )
+
+
+def doubt_type(m: int) -> np.dtype[Any]:
+    """Record of what is kept of a live filter's innovations over √R."""
+    f8 = np.float64
+    return np.dtype(
+        [
+            ("last", f8, (m,)),
+            ("run", np.int64, (m,)),  # how many in succession have been far off and near each other
+            ("usual", f8, (m,)),  # exponential mean of the logarithm of their square
         ]
     )
 
@@ -363,11 +379,34 @@ def first_look(stations, table, obs):
             obs[i, 2 * STREAM + COMMON + a] = place(stations[i], table, a)
 
 
+@part
+def suspect(doubt, lane, model, sample):
+    """Watch a filter for a lost track; returns whether the innovations of a row agree on one.
+
+    A row agrees where AGREEING innovations in succession are each FAR standard deviations of the
+    model's R or more, and near the one before: noise and outliers scatter, the miss of a track that
+    is lost does not. Beside it stands what the row's innovations usually are.
+    """
+    lost = False
+    for j in range(lane.y.shape[0]):
+        if not sample.lost[j]:
+            e = lane.innovation[j] / math.sqrt(model.R[j, j])
+            before = doubt.last[j]
+            near = 2.0 * e * before > max(e * e, before * before)
+            far = e * e > FAR * FAR
+            doubt.run[j] = doubt.run[j] + 1 if near and far else (1 if far else 0)
+            doubt.last[j] = e
+            doubt.usual[j] += USUAL * (math.log(e * e + 1e-12) - doubt.usual[j])
+            lost = lost or doubt.run[j] >= AGREEING
+    return lost
+
+
 @kernel
-def live(lanes, frozen, stations, models, samples, table, tally, look, obs):
+def live(lanes, frozen, stations, models, samples, doubts, table, tally, look, obs):
     """One sample of a voyage under way; returns which filters have failed, as bits.
 
-    1: the controlled filter has diverged, 2: the reference, 4: the frozen filter holds no numbers.
+    1: the controlled filter has diverged, 2: the reference, 4: the frozen filter holds no numbers,
+    8: the controlled filter seems to have lost the track (see `suspect`), 16: so does the reference.
 
     Args:
         lanes: (2,) the controlled filter and the reference filter.
@@ -375,6 +414,7 @@ def live(lanes, frozen, stations, models, samples, table, tally, look, obs):
         stations: (2,) of the controlled filter, and of those beside it.
         models: (1,) for this sample.
         samples: (1,) a tape's record, of which y, lost and time are given.
+        doubts: (3,) what is kept of the innovations of these three filters.
         table: as `decide` takes it: what the observation tells of the parameters in force.
         tally: (5,) sums over the decision so far, of which this sample becomes part.
         look: whether to write the observation.
@@ -383,6 +423,7 @@ def live(lanes, frozen, stations, models, samples, table, tally, look, obs):
     model, sample = models[0], samples[0]
     accompany(sample, model, stations[1], frozen[0], lanes[1])
     received = control(lanes[0], model, sample, stations[0])
+    lost = 0
     if received > 0:
         tally[HEARD] += 1.0
         tally[NIS_SUM] += lanes[0].nis
@@ -391,8 +432,10 @@ def live(lanes, frozen, stations, models, samples, table, tally, look, obs):
             lane = lanes[i]
             log_det = -2.0 * lane.log_likelihood - lane.nis - received * LOG_2PI
             tally[SCORE + i] += foretold(lane.nis, log_det, received)
+            lost += suspect(doubts[i], lane, model, sample) << i
+        suspect(doubts[2], frozen[0], model, sample)
     if look:
         note(stations[0], lanes[0], model)
         observe(stations[0], sample, table, obs, 0)
     failed = (lanes[0].diverged > 0) + 2 * (lanes[1].diverged > 0)
-    return failed + 4 * (frozen[0].diverged == NUMERICAL)
+    return failed + 4 * (frozen[0].diverged == NUMERICAL) + 8 * lost

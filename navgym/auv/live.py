@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navgym.auv import kernels as K
 from navgym.auv.engine import linear, observation_names, station_of
@@ -14,14 +15,32 @@ from navgym.auv.settings import AUVDropoutSettings
 from navgym.core.checks import Array, real_array, within
 from navgym.core.health import NUMERICAL
 from navgym.envs.base import TALLY
-from navgym.envs.live import REFERENCE, LiveLane, flags, pooled
+from navgym.envs.live import CONTROLLED, REFERENCE, LiveLane, flags, pooled
 from navgym.statespace.filters import kalman, qivbf
 from navgym.statespace.models import LinearModel
 
 JITTER = 0.1  # by how much of it a step may miss the one that the model was made for
 SAME_STEP = 1e-6  # relative difference of two steps that share a model, as in `models.step_of`
 
+FROZEN = 2  # beside CONTROLLED and REFERENCE
+BOTH = 3  # bits of the two adaptive filters
+
 Model = LinearModel | Callable[[float], LinearModel]
+
+
+class _Memory:
+    """All that changes as samples come in, in one block, and its pieces.
+
+    Args:
+        block: of bytes.
+        pieces: arrays that lie in it.
+    """
+
+    def __init__(self, block: NDArray[np.uint8], pieces: list[NDArray[Any]]) -> None:
+        self.block = block
+        self.lanes, self.frozen, self.stations, self.model, self.sample, self.doubt, self.tally = (
+            pieces
+        )
 
 
 class LiveAUV(LiveLane):
@@ -59,19 +78,23 @@ class LiveAUV(LiveLane):
         n, m = self.model.n, self.model.m
         self.components = m
         station = station_of(self.model, self.reference)
-        self._memory, parts = pooled(
-            (qivbf.lane_type(n, m), 2), (kalman.lane_type(n, m), 1),
-            (station.dtype, 2), (np.float64, TALLY),
-        )  # fmt: skip
-        self.lanes, self._frozen, self.stations, self.tally = parts
-        self._before = self._memory.copy()
-        self._sample = np.zeros(1, K.tape_type(n, m))
         self._packed = self.model.pack()
+        types = (
+            (qivbf.lane_type(n, m), 2), (kalman.lane_type(n, m), 1), (station.dtype, 2),
+            (self._packed.dtype, 1), (K.tape_type(n, m), 1), (K.doubt_type(m), 3),
+            (np.float64, TALLY),
+        )  # fmt: skip
+        self._now = now = _Memory(*pooled(*types))
+        self._past = [_Memory(*pooled(*types)) for _ in range(K.AGREEING)]
+        self.lanes, self._frozen, self.stations, self.tally = (
+            now.lanes, now.frozen, now.stations, now.tally,
+        )  # fmt: skip
+        self._model, self._sample, self._doubt = now.model, now.sample, now.doubt
         known = self._made is None and self.model.dt is not None
         self._steps: list[float] = np.ravel(self.model.dt).tolist() if known else []
-        self._model = self._packed[:1].copy()
         self._arguments = (
-            self.lanes, self._frozen, self.stations, self._model, self._sample, self.table, self.tally,
+            self.lanes, self._frozen, self.stations, self._model, self._sample, self._doubt,
+            self.table, self.tally,
         )  # fmt: skip
         self._views = [tuple(self.lanes[n][i : i + 1] for n in ("x", "P", "nis")) for i in (0, 1)]
         self._y, self._lost = self._sample["y"][0], self._sample["lost"][0]
@@ -85,8 +108,7 @@ class LiveAUV(LiveLane):
         self._step = self._interval
         self._use(self.model, self._packed[0])
         self.tally[:] = 0.0
-        kalman.begin(self._frozen, self._model[None], self.reference[None])
-        qivbf.begin(self.lanes, self._model[None], self.reference[None, None])
+        self._begin_filters()
         self.stations[...] = station_of(self.model, self.reference)
         self.observation[...] = 0.0
         K.first_look(self.stations[:1], self.table, self.observation)  # type: ignore[no-untyped-call]
@@ -113,16 +135,16 @@ class LiveAUV(LiveLane):
     def step(self, look: bool) -> int:
         """Filter the sample; with `look` write the observation.
 
-        Returns bits of the filters that failed and were started again: 1 the controlled one, 2
-        the reference, 3 both.
+        Returns bits of the filters that failed or lost the track, and were started again: 1 the
+        controlled one, 2 the reference, 3 both.
         """
         self._waiting = False
         self.k += 1
-        self._before[...] = self._memory
+        self._past[self.k % len(self._past)].block[...] = self._now.block
         failed = self._call(K.live, (*self._arguments, look, self.observation))
         if failed:
             failed = self._recover(failed, look)
-        return failed & 3
+        return failed
 
     def answer(self, which: int) -> tuple[Array, Array, float]:
         """State, covariance and NIS of the controlled or the reference filter, copied."""
@@ -197,38 +219,106 @@ class LiveAUV(LiveLane):
     # ---- failures ----------------------------------------------------------------------------
 
     def _recover(self, failed: int, look: bool) -> int:
-        if failed & 3 == 3:
-            self._start_over(look)
-        elif failed & 3:
-            self._heal(failed)
+        """Mend what failed at this sample; returns the bits of the filters that were started again."""
+        if (self.lanes["diverged"] == NUMERICAL).all():
+            self._leave_out(look)
+            return BOTH
+        lost = sum(1 << i for i in (CONTROLLED, REFERENCE) if failed >> 3 + i & 1 and self._off(i))
+        bad = (failed & BOTH) | lost
+        if bad == BOTH:
+            self._take_again(look)
+        elif bad:
+            self._heal(bad)
         if self._frozen["diverged"][0] == NUMERICAL:
             kalman.begin(self._frozen, self._model[None], self.reference[None])
             self._frozen["x"], self._frozen["P"] = (self.lanes[n][REFERENCE] for n in ("x", "P"))
-        return failed
+            self._doubt[FROZEN] = self._doubt[REFERENCE]
+        return bad
 
-    def _start_over(self, look: bool) -> None:
-        """Both filters failed: go back to before the sample, widen what was believed, take it again.
+    def _heal(self, failed: int) -> None:
+        super()._heal(failed)
+        bad = CONTROLLED if failed & 1 else REFERENCE
+        self._doubt[bad] = self._doubt[1 - bad]
 
-        A sample that broke the numbers counts as lost; one that lies far off what was believed is
-        what to believe now.
-        """
-        broken = (self.lanes["diverged"] == NUMERICAL).any()
-        self._memory[...] = self._before
-        x, P = self.lanes["x"][REFERENCE].copy(), self.lanes["P"][REFERENCE].copy()
-        model, spread = self._model[0], 1.0
-        if not np.isfinite(x).all():
-            x, P = model["x0"], 0.0 * model["P0"]
-        if broken:
-            self._lost[...] = 1
-        else:
-            miss = (self._y - model["H"] @ (model["F"] @ x)) ** 2
-            ratio = miss / np.diag(model["H"] @ model["P0"] @ model["H"].T + model["R"])
-            spread = max(1.0, float(np.nanmax(ratio, initial=1.0)))
-        qivbf.begin(self.lanes, self._model[None], self.reference[None, None])
-        self.lanes["x"], self.lanes["P"] = x, P + spread * model["P0"]
-        self._frozen["diverged"] = NUMERICAL  # starts again with them
-        self._call(K.live, (*self._arguments, look, self.observation))
+    def _before(self, back: int) -> _Memory:
+        """What was kept when the sample `back` ones ago had come and was not yet filtered."""
+        return self._past[(self.k - back) % len(self._past)]
+
+    def _leave_out(self, look: bool) -> None:
+        """The sample broke the numbers of both filters: it counts as lost."""
+        self._now.block[...] = self._before(0).block
+        self._lost[...] = 1
+        if self._call(K.live, (*self._arguments, look, self.observation)) & BOTH:
+            self._begin_filters()  # it was not the sample
         self.tally[:] = 0.0
+
+    def _off(self, which: int) -> bool:
+        """Whether innovations that agree lie far off what was believed before the first of them.
+
+        That is FAR standard deviations of the prediction and of the usual innovations together:
+        noise that is much larger than the model's is no loss of the track. Where it is none, as
+        many innovations must agree again before this is asked the next time.
+        """
+        before = self._before(min(self.k, K.AGREEING) - 1)
+        model, doubt = before.model[0], self._doubt[which]
+        predicted = model["F"] @ before.lanes["P"][which] @ model["F"].T + model["Q"]
+        believed = np.diag(model["H"] @ predicted @ model["H"].T) / np.diag(model["R"])
+        usual = np.exp(np.maximum(before.doubt["usual"][which], 0.0))
+        agree = doubt["run"] >= K.AGREEING
+        off = doubt["last"] ** 2 > K.FAR**2 * (usual + believed)
+        doubt["run"][agree] = 0
+        return bool((off & agree).any())
+
+    def _take_again(self, look: bool) -> None:
+        """The track is lost: go back to before the innovations that agree, widen, take them again.
+
+        One sample far off is an outlier, or the vehicle is elsewhere: nothing can tell, and the
+        filters leave it to their noise. Of AGREEING that are far off and near one another all would
+        have to be wrong alike. So the state before the first of them is given up as far as they
+        contradict it: what they see may be off by their miss, its rate by what the miss changed by
+        from one to the next, and everything by P0. What was learnt of the noise till then stands.
+        """
+        kept = [self._before(back) for back in reversed(range(min(self.k, K.AGREEING)))]
+        samples = [(each.model.copy(), each.sample.copy()) for each in kept]
+        miss = self._doubt["last"].copy()
+        change = miss - kept[-1].doubt["last"]
+        rows = self.stations["row"].copy()
+        self._now.block[...] = kept[0].block
+        self.stations["row"] = rows
+        known = [(lane, lane[list(names)].copy()) for lane, names in self._lasting()]
+        self._begin_filters()
+        for i, (lane, values) in enumerate(known):
+            for name in values.dtype.names or ():
+                lane[name] = values[name]
+            lane["P"] += _doubtful(self._model[0], miss[i], change[i])
+        for model, sample in samples:
+            self._model[...], self._sample[...] = model, sample
+            if self._call(K.live, (*self._arguments, look, self.observation)) & BOTH:
+                self._begin_filters()
+        self.tally[:] = 0.0
+
+    def _lasting(self) -> list[tuple[NDArray[Any], tuple[str, ...]]]:
+        """The three filters, and of each what outlasts a lost track."""
+        adaptive = ("x", "P", "R", "count", "variances")
+        return [(self.lanes[:1], adaptive), (self.lanes[1:], adaptive), (self._frozen, ("x", "P"))]
+
+    def _begin_filters(self) -> None:
+        """All three filters at x0, P0 of the model."""
+        kalman.begin(self._frozen, self._model[None], self.reference[None])
+        qivbf.begin(self.lanes, self._model[None], self.reference[None, None])
+        self._doubt[...] = np.zeros((), self._doubt.dtype)
+
+
+def _doubtful(model: Any, miss: Array, change: Array) -> Array:
+    """What to add to P where innovations (m,), over the root of R, are `miss` and move by `change`."""
+    H, R = model["H"], np.diag(model["R"])
+    rate = H @ model["F"] - H  # of what a row sees, by the state
+    wide: Array = model["P0"].copy()
+    for seen, size in ((H, miss), (rate, change)):
+        norm = np.square(seen).sum(axis=1)
+        weight = np.divide(R * size**2, norm**2, out=np.zeros(len(R)), where=norm > 0.0)
+        wide += (seen.T * weight) @ seen
+    return wide
 
 
 def _checked_maker(model: Any) -> Callable[[float], LinearModel]:

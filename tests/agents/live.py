@@ -6,15 +6,17 @@ from navgym.agents.policies.manifest import Manifest
 from navgym.agents.policies.policy import Policy
 
 
-def some_policy(env, environment, seed=0, bias=None):
-    """A random network, or a policy whose actions are always `bias`, for an environment."""
+def some_policy(env, environment, seed=0, bias=None, size=1.0):
+    """A random network, its actions times `size`, or a policy whose actions are always `bias`."""
     rng = np.random.default_rng(seed)
     manifest = Manifest.of(environment, env.engine, {"command": "none"})
     n, k = len(manifest.observation_names), len(manifest.action_parameters)
     if bias is not None:
         return Policy(manifest, [(np.zeros((k, n)), np.broadcast_to(bias, k).astype(float))])
     sizes = ((16, n), (k, 16))
-    return Policy(manifest, [(rng.normal(size=s) / 2, 0.3 * rng.normal(size=s[0])) for s in sizes])
+    layers = [(rng.normal(size=s) / 2, 0.3 * rng.normal(size=s[0])) for s in sizes]
+    layers[-1] = size * layers[-1][0], size * layers[-1][1]
+    return Policy(manifest, layers)
 
 
 def episode(env, policy):
