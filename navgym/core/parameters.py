@@ -33,6 +33,7 @@ class Parameter:
         equation: where it appears.
         choices: names of the values 0, 1, ... of a categorical parameter.
         at_start: whether it acts at the first sample only, so that no schedule can move it.
+        widest: what is admissible, where that is more than searches and agents walk by themselves.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Parameter:
     equation: str = ""
     choices: tuple[str, ...] = ()
     at_start: bool = False
+    widest: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         one_of("scale", self.scale, SCALES)
@@ -58,6 +60,11 @@ class Parameter:
             raise ValueError(
                 f"{self.name}: default {self.default} outside {self.low}..{self.high}."
             )
+        low, high = self.admissible
+        if not low <= self.low or not self.high <= high:
+            raise ValueError(
+                f"{self.name}: widest must hold {self.low}..{self.high}, got {low}..{high}."
+            )
 
     @property
     def _ends(self) -> tuple[float, float]:
@@ -66,10 +73,15 @@ class Parameter:
         except ValueError:  # a logarithm of something that has none
             return math.nan, math.nan
 
-    def check(self, value: Any) -> float:
-        """`value` (a number, or the name of a choice) as a float inside the range.
+    @property
+    def admissible(self) -> tuple[float, float]:
+        """Ends of what may be given: `widest`, or the range."""
+        return self.widest or (self.low, self.high)
 
-        Raises ValueError naming the parameter, the value and the range.
+    def check(self, value: Any) -> float:
+        """`value` (a number, or the name of a choice) as a float that is admissible.
+
+        Raises ValueError naming the parameter, the value and what is admissible.
         """
         if isinstance(value, str):
             if not self.choices:
@@ -79,9 +91,10 @@ class Parameter:
             number = float(value)
         except (TypeError, ValueError):
             raise ValueError(f"{self.name} must be a number, got {value!r}.") from None
-        if not self.low <= number <= self.high:
+        low, high = self.admissible
+        if not low <= number <= high:
             raise ValueError(
-                f"{self.name} must lie in {self.low:g}..{self.high:g}{self._unit}, got {number:g}."
+                f"{self.name} must lie in {low:g}..{high:g}{self._unit}, got {number:g}."
             )
         if self.integer and number != round(number):
             raise ValueError(f"{self.name} must be a whole number, got {number:g}.")
@@ -91,7 +104,8 @@ class Parameter:
         """Whether `values` (T,) are numbers that `check` lets pass, all at once."""
         if values.dtype.kind not in "fiu" or values.ndim != 1 or not len(values):
             return False
-        inside = bool(((self.low <= values) & (values <= self.high)).all())
+        low, high = self.admissible
+        inside = bool(((low <= values) & (values <= high)).all())
         return inside and not (self.integer and (values != np.round(values)).any())
 
     @property

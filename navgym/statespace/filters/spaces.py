@@ -6,18 +6,13 @@ from dataclasses import replace
 
 from navgym.core.parameters import Parameter, ParameterSpace
 
+ANY_SCALE = (1e-6, 1e6)  # a log's model may be off by more than one would search by oneself
 PROCESS = Parameter(
-    "process_noise_scale",
-    "q",
-    "1",
-    0.1,
-    1000.0,
-    "log",
-    1.0,
+    "process_noise_scale", "q", "1", 0.1, 1000.0, "log", 1.0, widest=ANY_SCALE,
     equation="multiplies Q (QIVBF table 2)",
-)
+)  # fmt: skip
 MEASUREMENT = Parameter(
-    "measurement_noise_scale", "r", "1", 0.01, 1000.0, "log", 1.0,
+    "measurement_noise_scale", "r", "1", 0.01, 1000.0, "log", 1.0, widest=ANY_SCALE,
     equation="multiplies R (QIVBF table 2)",
 )  # fmt: skip
 INFLATION = Parameter(
