@@ -1,7 +1,8 @@
 """The portable format of learned things: NAME.npz with arrays, NAME.json with what they are for.
 
-Each is written whole or not at all, the arrays first, and a hash of the arrays ties them together: what
-is interrupted between the two is noticed, and must be saved again. Neither is unpickled.
+Each is written whole or not at all, the arrays first, and a hash of both ties them together: what is
+interrupted between the two, mixed up or edited is noticed, and must be saved again. The hash is no
+signature: who means to deceive can compute it. Neither file is unpickled.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navgym.core.atomic import replacing
-from navgym.core.storage import Arrays, read_npz
+from navgym.core.storage import Arrays, parse_json, read_npz, settings_text
 
-FORMAT = 1
+FORMAT = 2
 
 
 def pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
@@ -48,8 +49,10 @@ def write(
         ValueError: for what JSON cannot hold.
     """
     target, beside = pair(path)
-    first = {"kind": kind, "format": FORMAT, "sha256": digest(arrays)}
-    text = json.dumps(first | dict(header), indent=1, ensure_ascii=False, allow_nan=False)
+    first = {"kind": kind, "format": FORMAT, "sha256": ""}
+    whole = json.loads(json.dumps(first | dict(header), allow_nan=False))
+    whole["sha256"] = seal(whole, arrays)
+    text = json.dumps(whole, indent=1, ensure_ascii=False)
     with replacing(target) as file:
         np.savez_compressed(file, allow_pickle=False, **dict(arrays))
     with replacing(beside, text=True) as file:
@@ -75,13 +78,24 @@ def read(
             )
     header = _header(beside, kind, wanted)
     arrays = read_npz(target, f"is no {kind}, or is truncated", "Save it again.")
-    found = digest(arrays)
+    found = seal(header, arrays)
     if found != header["sha256"]:
         raise ValueError(
-            f"{target} does not belong to {beside}: its content has hash {found[:12]}, and the "
-            f"JSON says {str(header['sha256'])[:12]}. Copy both files together, unedited."
+            f"{target} does not belong to {beside}, or one of them was edited: their content has hash "
+            f"{found[:12]}, and the JSON says {str(header['sha256'])[:12]}. Copy both files together, "
+            "unedited."
         )
     return header, arrays
+
+
+def seal(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> str:
+    """SHA-256 of what a pair of files says: the arrays, and the header but for its own hash.
+
+    How the JSON is laid out does not matter, what it says does.
+    """
+    facts = {name: value for name, value in header.items() if name != "sha256"}
+    text = json.dumps(facts, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(f"{digest(arrays)}{text}".encode()).hexdigest()
 
 
 def digest(arrays: Mapping[str, NDArray[Any]]) -> str:
@@ -96,7 +110,7 @@ def digest(arrays: Mapping[str, NDArray[Any]]) -> str:
 
 def _header(path: Path, kind: str, wanted: Sequence[str]) -> dict[str, Any]:
     try:
-        header = dict(json.loads(path.read_text(encoding="utf-8")))
+        header = dict(parse_json(settings_text(path)))
         found, version = header["kind"], header["format"]
     except (ValueError, TypeError, KeyError) as error:
         raise ValueError(

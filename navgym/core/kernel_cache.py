@@ -24,6 +24,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numba
 from numba.core import caching
 
 QUIET = "NAVGYM_QUIET"  # environment variable: anything but empty or 0 keeps these lines away
@@ -48,13 +49,13 @@ def say(kind: str, text: str) -> None:
     if kind in _said or quiet or multiprocessing.parent_process() is not None:
         return
     _said.add(kind)
-    with contextlib.suppress(
-        OSError, ValueError, AttributeError
-    ):  # a stream that is full or closed
-        if sys.stderr is sys.__stderr__:  # past its buffer, which would fail once more at exit
-            os.write(sys.stderr.fileno(), f"navgym: {text}\n".encode("ascii", "backslashreplace"))
-        else:
-            sys.stderr.write(f"navgym: {text}\n")
+    stream = sys.stderr
+    with contextlib.suppress(OSError, ValueError):  # a stream that is full or closed
+        if stream is not None and stream is sys.__stderr__:
+            # past its buffer, which would fail once more at exit
+            os.write(stream.fileno(), f"navgym: {text}\n".encode("ascii", "backslashreplace"))
+        elif stream is not None:
+            stream.write(f"navgym: {text}\n")
 
 
 # ---- whose folder -------------------------------------------------------------------------------
@@ -124,7 +125,7 @@ class _Guarded:
                 raise PermissionError(reason)
             super().ensure_cache_path()  # type: ignore[misc]
         except OSError as error:
-            given = caching.config.CACHE_DIR
+            given: str = numba.config.CACHE_DIR  # type: ignore[attr-defined]
             if given and Path(folder).is_relative_to(given):
                 _passed_over.append(_why(error))
             raise
@@ -141,10 +142,10 @@ def _why(error: BaseException) -> str:
 _passed_over: list[str] = []  # why NUMBA_CACHE_DIR could not be used
 
 
-class _Files(caching.CompileResultCacheImpl):  # type: ignore[misc]
+class _Files(caching.CompileResultCacheImpl):
     """Numba's files of one kernel, in a folder that is its user's."""
 
-    _locator_classes = [  # noqa: RUF012 - as numba has it
+    _locator_classes: Any = [  # noqa: RUF012 - as numba has it
         type(kind.__name__, (_Guarded, kind), {}) for kind in caching.CacheImpl._locator_classes
     ]
 
@@ -152,7 +153,7 @@ class _Files(caching.CompileResultCacheImpl):  # type: ignore[misc]
 # ---- one kernel's files -------------------------------------------------------------------------
 
 
-class KernelCache(caching.FunctionCache):  # type: ignore[misc]
+class KernelCache(caching.FunctionCache):
     """What is compiled of one kernel, on disk; it never ends a run.
 
     Args:
@@ -164,7 +165,7 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
     _impl_class = _Files
 
     def __init__(self, function: Any) -> None:
-        super().__init__(function)
+        super().__init__(function)  # type: ignore[no-untyped-call]
         reason = unsafe(self.cache_path)  # NUMBA_CACHE_LOCATOR_CLASSES may have found it
         if reason:
             raise RuntimeError(reason)
@@ -174,7 +175,7 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
         _say_passed_over()
         try:
             self._check()
-            found = super().load_overload(sig, target_context)
+            found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
         except Exception as error:  # a damaged pickle may raise anything
             where = self.cache_path
             say("damaged", f"compiled code in {where} is not used but made anew ({_why(error)})")
@@ -188,7 +189,7 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
         """Keep what was compiled, or say why that is not possible."""
         try:
             with _saving, _owner_only():
-                super().save_overload(sig, data)
+                super().save_overload(sig, data)  # type: ignore[no-untyped-call]
         except Exception as error:  # a damaged pickle may raise anything
             self._forget()  # the index may name a file that was not written
             say(
@@ -216,10 +217,10 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
             for path in self._paths():
                 path.unlink(missing_ok=True)
         except OSError:
-            self.disable()
+            self.disable()  # type: ignore[no-untyped-call]
 
 
-class NoCache(caching.NullCache):  # type: ignore[misc]
+class NoCache(caching.NullCache):
     """Of a kernel that has no folder for its compiled code.
 
     Args:

@@ -1,9 +1,14 @@
-"""Arrays and JSON in one npz file: written atomically, read without pickle."""
+"""Arrays and JSON in one npz file, and files of settings: read without pickle, and within bounds.
+
+What a file may hold when it is unpacked is bounded by its size, and how deep its tables nest by what
+Python stands: a file that was made to harm ends in a ValueError that names it.
+"""
 
 from __future__ import annotations
 
 import json
 import os
+import tomllib
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
@@ -22,8 +27,12 @@ Arrays = dict[str, NDArray[Any]]
 # what numpy, zipfile and zlib raise about a file that is no npz, or no longer one
 _UNREADABLE = (
     ValueError, TypeError, EOFError, OSError, KeyError, zipfile.BadZipFile, zlib.error,
-    NotImplementedError,
+    RuntimeError, MemoryError,
 )  # fmt: skip
+
+# bytes: noise does not compress, so that no recording of any length unpacks to more than this
+ROOM, PER_BYTE = 2**30, 100
+SETTINGS = 2**24  # bytes of the largest file of settings; real ones have some thousand
 
 
 def save(
@@ -72,15 +81,63 @@ def read_npz(
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: no npz, a truncated one, or one that needs pickle: "PATH WHAT (why). REMEDY".
+        ValueError: no npz, a truncated or encrypted one, or one that needs pickle or unpacks to far
+            more than it is: "PATH WHAT (why). REMEDY".
     """
     try:
+        _bounded(path)
         with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files if only is None or name in only}
+            found = {name: file[name] for name in file.files if only is None or name in only}
+        raw = [name for name, array in found.items() if not isinstance(array, np.ndarray)]
+        if raw:
+            raise ValueError(f"{raw[0]} is no array")
     except _UNREADABLE as error:
         if isinstance(error, FileNotFoundError):
             raise
         raise ValueError(f"{path} {what} ({error}). {remedy}") from error
+    return found
+
+
+def _bounded(path: str | os.PathLike[str]) -> None:
+    """ValueError for an archive that is locked, or holds more than its size lets expect."""
+    with zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+    if any(member.flag_bits & 1 for member in members):
+        raise ValueError("it is encrypted")
+    size = sum(member.file_size for member in members)
+    if size > ROOM + PER_BYTE * Path(path).stat().st_size:
+        raise ValueError(f"it unpacks to {size / 1e9:.3g} GB, far more than any such file")
+
+
+def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """A TOML file as plain data; OSError, or ValueError naming the file."""
+    text = settings_text(path)
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{path} is not TOML: {error}") from error
+    except RecursionError as error:
+        raise ValueError(f"{path} is not TOML that can be read: it nests too deep.") from error
+
+
+def parse_json(text: str) -> Any:
+    """JSON as plain data; ValueError where it is none, or nests deeper than Python stands."""
+    try:
+        return json.loads(text)
+    except RecursionError as error:
+        raise ValueError("it nests too deep") from error
+
+
+def settings_text(path: str | os.PathLike[str], most: int = SETTINGS) -> str:
+    """A text file of at most so many bytes; OSError, or ValueError naming the file."""
+    with Path(path).open("rb") as file:
+        content = file.read(most + 1)
+    if len(content) > most:
+        raise ValueError(f"{path} has more than {most / 1e6:.0f} MB: name a file of settings.")
+    try:
+        return content.decode("utf-8-sig").replace("\r\n", "\n")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path} is no text in UTF-8 ({error}).") from error
 
 
 def _read(path: str | os.PathLike[str], kind: str, only: Sequence[str] | None = None) -> Arrays:
@@ -100,7 +157,7 @@ def _read(path: str | os.PathLike[str], kind: str, only: Sequence[str] | None = 
 
 def _header(path: str | os.PathLike[str], kind: str, text: NDArray[Any]) -> dict[str, Any]:
     try:
-        header = json.loads(str(text))
+        header = parse_json(str(text))
         found = header["navgym"]
     except (TypeError, ValueError, KeyError) as error:
         raise ValueError(
@@ -112,6 +169,6 @@ def _header(path: str | os.PathLike[str], kind: str, text: NDArray[Any]) -> dict
             f"{path} has format {found}, and this navgym reads {FORMAT}: install the navgym that "
             "wrote it, or save it again from there."
         )
-    if "meta" not in header:
-        raise ValueError(f"{path} is damaged: its header lacks 'meta'. Save the recording again.")
+    if not isinstance(header.get("meta"), dict):
+        raise ValueError(f"{path} is damaged: its header lacks 'meta'. Save the recording again.")  # noqa: TRY004 - a file's fault
     return dict(header)

@@ -17,6 +17,7 @@ from navgym.agents.policies.policy import Normalisation, Policy
 from navgym.auv.engine import Engine
 from navgym.auv.settings import AUVDropoutSettings
 from navgym.envs.base import INFORMATION
+from tests.agents.hand_made import forged
 
 AUV, DECK = "navgym/AUVDropout-v0", "navgym/DeckDeformation-v0"
 ACTIONS = ("process_noise_scale", "forgetting", "vb_iterations")
@@ -235,25 +236,22 @@ class TestFiles:
         ],
     )
     def test_an_edited_manifest_is_refused(self, saved, change, message):
-        path = saved.with_suffix(".json")
-        path.write_text(json.dumps(json.loads(path.read_text()) | change))
+        forged(saved, json.loads(saved.with_suffix(".json").read_text()) | change)
         with pytest.raises(ValueError, match=message):
             Policy.load(saved)
 
     @pytest.mark.parametrize("name", ["scenario", "action_parameters"])
     def test_a_manifest_without_a_setting_that_matters_is_refused(self, saved, name):
-        path = saved.with_suffix(".json")
-        facts = json.loads(path.read_text())
+        facts = json.loads(saved.with_suffix(".json").read_text())
         del facts["settings"][name]
-        path.write_text(json.dumps(facts))
+        forged(saved, facts)
         with pytest.raises(ValueError, match=f"settings lack '{name}'"):
             Policy.load(saved)
 
     def test_a_policy_that_sets_what_the_filter_lacks_is_refused(self, saved):
-        path = saved.with_suffix(".json")
-        facts = json.loads(path.read_text())
+        facts = json.loads(saved.with_suffix(".json").read_text())
         facts["settings"]["action_parameters"][0] = "forgeting"
-        path.write_text(json.dumps(facts))
+        forged(saved, facts)
         with pytest.raises(ValueError, match="Did you mean 'forgetting'"):
             Policy.load(saved)
 

@@ -1,11 +1,14 @@
 """A pair of files that any Python reads: NAME.npz and NAME.json."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
 
+from navgym.agents.combiner.combiner import Combiner
 from navgym.agents.policies import portable
+from navgym.agents.policies.policy import PRETRAINED, Policy
 
 KIND = "navgym thing"
 ARRAYS = {"w": np.arange(6.0).reshape(2, 3), "b": np.array([1.5], dtype=np.float32)}
@@ -60,8 +63,8 @@ def test_a_header_that_was_changed_is_refused_by_what_is_wrong(written, changes,
         portable.read(written, KIND, ("note", "size"))
 
 
-def test_names_that_nobody_asks_for_may_be_absent(written):
-    rewritten(written, note=None)
+def test_names_that_nobody_asks_for_may_be_absent(tmp_path):
+    written = portable.write(tmp_path / "thing", KIND, ARRAYS, {"size": 3})
     assert portable.read(written, KIND, ("size",))[0]["size"] == 3
 
 
@@ -69,6 +72,65 @@ def test_names_that_nobody_asks_for_may_be_absent(written):
 def test_each_of_both_files_is_needed(written, suffix):
     written.with_suffix(suffix).unlink()
     with pytest.raises(FileNotFoundError):
+        portable.read(written, KIND)
+
+
+def leaves(value, way=()):
+    """Where each number, text, flag or nothing of plain data lies."""
+    if isinstance(value, dict):
+        return [found for k, v in value.items() for found in leaves(v, (*way, k))]
+    if isinstance(value, list):
+        return [found for i, v in enumerate(value) for found in leaves(v, (*way, i))]
+    return [way]
+
+
+def changed(value, way, to):
+    """Plain data with another leaf."""
+    if not way:
+        return to
+    copy = value.copy()
+    copy[way[0]] = changed(value[way[0]], way[1:], to)
+    return copy
+
+
+@pytest.mark.parametrize("kind", ["auv", "deck", "combiner"])
+def test_an_edit_of_any_word_or_number_of_what_is_shipped_is_noticed(kind, tmp_path):
+    path, load = tmp_path / "copy.npz", (Combiner if kind == "combiner" else Policy).load
+    for suffix in (".npz", ".json"):
+        shutil.copy((PRETRAINED / kind).with_suffix(suffix), path.with_suffix(suffix))
+    beside = path.with_suffix(".json")
+    facts = json.loads(beside.read_text(encoding="utf-8"))
+    load(path)
+    found = leaves({k: v for k, v in facts.items() if k not in ("kind", "format")})
+    assert len(found) > 50
+    for way in found:
+        beside.write_text(json.dumps(changed(facts, way, "another")))
+        with pytest.raises(ValueError, match=r"does not belong to .*, or one of them was edited"):
+            portable.read(path, facts["kind"])
+
+
+def test_how_the_json_is_laid_out_does_not_matter(written):
+    beside = written.with_suffix(".json")
+    facts = json.loads(beside.read_text(encoding="utf-8"))
+    beside.write_text(json.dumps(dict(reversed(facts.items())), indent=7))
+    assert portable.read(written, KIND)[0] == facts
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[" * 100_000, "nests too deep"),
+        ('{"a":' * 100_000, "nests too deep"),
+        ('"' + "x" * 2**24, "has more than 17 MB"),
+        ("7", "does not describe"),
+        (b"\xff\xfe", "no text in UTF-8"),
+        ('{"n": ' + "9" * 5000 + "}", "does not describe"),
+    ],
+)
+def test_json_that_was_made_to_harm_is_refused(written, text, message):
+    content = text if isinstance(text, bytes) else text.encode()
+    written.with_suffix(".json").write_bytes(content)
+    with pytest.raises(ValueError, match=message):
         portable.read(written, KIND)
 
 
