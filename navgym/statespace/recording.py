@@ -18,6 +18,7 @@ from navgym.statespace.models import LinearModel, step_of
 from navgym.statespace.turn_model import CoordinatedTurnModel
 
 Model: TypeAlias = LinearModel | CoordinatedTurnModel
+JITTER = 0.1  # share of a step by which a stamp may miss the one that a model was made for
 # by the word that a model's arrays hold
 KINDS: Mapping[str, type[Model]] = {"linear": LinearModel, "coordinated-turn": CoordinatedTurnModel}
 
@@ -70,6 +71,8 @@ class Recording(Frozen):
         y[lost] = np.nan
         model = self.model if self.model is not None else _default_model(time, y.shape[1])
         _check_model(model, y.shape, steps)
+        _check_accuracy(model, lost)
+        _check_steps(model, time)
         arrays: dict[str, Any] = {"time": time, "measurements": y, "lost": lost}
         if self.truth is not None:
             arrays["truth"] = real_array("truth", self.truth)
@@ -176,6 +179,33 @@ def _check_model(model: Model, shape: tuple[int, ...], steps: int) -> None:
     if model.steps not in (None, steps):
         raise ValueError(
             f"the model changes over {model.steps} samples, the recording has {steps}."
+        )
+
+
+def _check_accuracy(model: Model, lost: NDArray[np.bool_]) -> None:
+    """ValueError where something was received whose variance the model does not know."""
+    bad = np.argwhere(getattr(model, "deaf", np.zeros(1, np.bool_)) & ~lost)
+    if len(bad):
+        k, j = (int(i) for i in bad[0])
+        raise ValueError(
+            f"R must hold the variance of everything that was received, but R[{k}, {j}, {j}] is NaN "
+            f"or 0 and measurements[{k}, {j}] was received: set it, or mark the component as lost."
+        )
+
+
+def _check_steps(model: Model, time: Array) -> None:
+    """ValueError where a model that is made for certain steps stands on other ones."""
+    if model.dt is None or len(time) < 2:
+        return
+    made = np.broadcast_to(model.dt, time.shape)[1:]
+    off = np.abs(np.diff(time) - made) > JITTER * made
+    if off.any():
+        k = int(np.argmax(off)) + 1
+        raise ValueError(
+            f"the model is made for steps of dt = {made[k - 1]:.6g} s, but time[{k}] comes "
+            f"{time[k] - time[k - 1]:.6g} s after time[{k - 1}]: make it for the recording's own "
+            "steps, LinearModel(dt=numpy.diff(time, prepend=2 * time[0] - time[1])) or "
+            "LinearModel.white_acceleration likewise."
         )
 
 

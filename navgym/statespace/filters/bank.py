@@ -10,6 +10,10 @@ both updates are weighed by their likelihoods and collapsed to one by their mome
 
 Where regimes differ in how they lose samples, that a sample is lost, or not, is evidence as well.
 
+The chains are in seconds, and what happens between two received samples is done at once, when the
+second arrives: rows without a measurement only read from the modes as the last received sample left
+them. So an estimate does not depend on how a log is cut.
+
 Where two axes have the same model and lose the same components, all modes keep one covariance for
 both (`axes` = 2); otherwise the state is treated as a whole (`axes` = 1). One kernel serves both.
 """
@@ -31,12 +35,15 @@ from navgym.core.linalg import predict
 from navgym.statespace.batch import Batch, outputs
 from navgym.statespace.filters.lane import (
     LOG_2PI,
+    PERIOD,
     expect,
     fields,
     padded,
     receive,
     report,
+    silence,
     start,
+    watch,
 )
 from navgym.statespace.models import record
 
@@ -48,7 +55,7 @@ PROCESS, MEASUREMENT, SCALE_STAY, REGIME_STAY, OUTLIER_RATE = range(5)
 OUTLIER_SCALE = 100.0
 MAX_MODES = 32
 CANCELLATION = 1e-6  # a variance shrunk by more than this in one update has lost digits: use Joseph
-LOST_LEAK = 0.2  # leaks are this much smaller across a lost sample, which tells nothing
+LOST_LEAK = 0.2  # leaks are this much smaller once nothing has been received for a `PERIOD`
 # regimes without losses of their own lose at one unknown rate: Beta prior (lost, received) of it
 LOST_BEFORE = (1.0, 19.0)
 
@@ -137,6 +144,15 @@ def lane_type(n: int, m: int, axes: int) -> np.dtype[Any]:
         ("mean", f8, (j, p, axes)),
         ("cov", f8, (j, p, p)),
         ("weight", f8, (j,)),
+        # as the last received sample left it, and the motion since then
+        ("kept_mean", f8, (j, p, axes)),
+        ("kept_cov", f8, (j, p, p)),
+        ("kept_weight", f8, (j,)),
+        ("kept_x", f8, (n,)),
+        ("kept_P", f8, (n, n)),
+        ("rows_since", np.int64, ()),
+        ("whole", _motion(n), ()),
+        ("axis", _motion(p), ()),
         ("grid", np.int64, (2,)),  # numbers of R scales and of regimes
         ("moment", f8, (j, 1 + p * axes + p * p)),
         ("losing", f8, (3,)),  # was the last sample lost; lost outside bursts; of how many
@@ -155,6 +171,11 @@ def lane_type(n: int, m: int, axes: int) -> np.dtype[Any]:
         ("FT", f8, (p, p)),
     ]
     return np.dtype(own + fields(n, m))
+
+
+def _motion(n: int) -> np.dtype[Any]:
+    """Record of a motion of n states over several rows: F, Q, and scratch."""
+    return np.dtype([(name, np.float64, (n, n)) for name in ("F", "Q", "T")])
 
 
 def separable(models: NDArray[Any]) -> bool:
@@ -268,7 +289,7 @@ def _run_some(
     small = half(models) if lanes["mean"].shape[-1] == 2 else models
     mine = {name: array[pick] for name, array in found.items()}
     runner(
-        lanes, models, small, batch.y[pick], batch.lost[pick],
+        lanes, models, small, batch.y[pick], batch.lost[pick], batch.time[pick],
         table if len(table) == 1 else table[pick], interval, modes.table(),
         modes.shares(), modes.near, modes.loss_table(), *mine.values(),
     )  # fmt: skip
@@ -284,11 +305,13 @@ def unfolded(shared: NDArray[Any], whole: np.dtype[Any]) -> NDArray[Any]:
         if whole[name] == shared.dtype[name]:
             lanes[name] = shared[name]
     count, modes, p, axes = shared["mean"].shape
-    stacked = np.swapaxes(shared["mean"], 2, 3).reshape(count, modes, axes * p)
-    lanes["mean"] = stacked[..., None]
-    for g in range(axes):
-        own = slice(g * p, (g + 1) * p)
-        lanes["cov"][:, :, own, own] = shared["cov"]
+    for mean, cov in (("mean", "cov"), ("kept_mean", "kept_cov")):
+        stacked = np.swapaxes(shared[mean], 2, 3).reshape(count, modes, axes * p)
+        lanes[mean] = stacked[..., None]
+        for g in range(axes):
+            own = slice(g * p, (g + 1) * p)
+            lanes[cov][:, :, own, own] = shared[cov]
+    lanes["axis"] = shared["whole"]
     return lanes
 
 
@@ -302,6 +325,87 @@ def begin(lanes: NDArray[Any], models: NDArray[Any], modes: ModeSet, axes: int) 
     lanes["grid"] = modes.shape
     lanes["losing"] = (0.0, LOST_BEFORE[0], sum(LOST_BEFORE))
     lanes["weight"][:, : len(modes.table())] = modes.table()[:, 3]
+
+
+@part
+def keep(lane):
+    """Note the modes as they are: after the last sample of which something was received."""
+    p, axes = lane.m_prior.shape
+    for j in range(lane.grid[0] * lane.grid[1]):
+        lane.kept_weight[j] = lane.weight[j]
+        for i in range(p):
+            for g in range(axes):
+                lane.kept_mean[j, i, g] = lane.mean[j, i, g]
+            for k in range(p):
+                lane.kept_cov[j, i, k] = lane.cov[j, i, k]
+    for i in range(lane.x.shape[0]):
+        lane.kept_x[i] = lane.x[i]
+        for k in range(lane.x.shape[0]):
+            lane.kept_P[i, k] = lane.P[i, k]
+
+
+@part
+def recall(lane):
+    """Go back to what `keep` noted."""
+    p, axes = lane.m_prior.shape
+    for j in range(lane.grid[0] * lane.grid[1]):
+        lane.weight[j] = lane.kept_weight[j]
+        for i in range(p):
+            for g in range(axes):
+                lane.mean[j, i, g] = lane.kept_mean[j, i, g]
+            for k in range(p):
+                lane.cov[j, i, k] = lane.kept_cov[j, i, k]
+    for i in range(lane.x.shape[0]):
+        lane.x[i] = lane.kept_x[i]
+        for k in range(lane.x.shape[0]):
+            lane.P[i, k] = lane.kept_P[i, k]
+
+
+@part
+def move_on(motion, model, q, anew):
+    """Add a row's motion: F ← F_k F, Q ← F_k Q F_kᵀ + q Q_k; only the row's own where `anew`."""
+    n = motion.F.shape[0]
+    if anew:
+        for i in range(n):
+            for k in range(n):
+                motion.F[i, k] = model.F[i, k]
+                motion.Q[i, k] = q * model.Q[i, k]
+        return
+    for i in range(n):
+        for k in range(n):
+            s = 0.0
+            for h in range(n):
+                s += model.F[i, h] * motion.F[h, k]
+            motion.T[i, k] = s
+    for i in range(n):
+        for k in range(n):
+            motion.F[i, k] = motion.T[i, k]
+    for i in range(n):
+        for k in range(n):
+            s = 0.0
+            for h in range(n):
+                s += model.F[i, h] * motion.Q[h, k]
+            motion.T[i, k] = s
+    for i in range(n):
+        for k in range(i + 1):
+            s = q * model.Q[i, k]
+            for h in range(n):
+                s += motion.T[i, h] * model.F[k, h]
+            motion.Q[i, k] = s
+            motion.Q[k, i] = s
+
+
+@part
+def begin_row(lane, model, small, q, received):
+    """Bring the modes to the last received sample, and the motion since then to this row."""
+    anew = lane.rows_since == 0
+    if not anew:
+        recall(lane)
+    elif received == 0:
+        keep(lane)
+    move_on(lane.whole, model, q, anew)
+    move_on(lane.axis, small, q, anew)
+    lane.rows_since = 0 if received > 0 else lane.rows_since + 1
 
 
 @part
@@ -423,26 +527,26 @@ def judge_loss(lane, losses, lost):
 
 
 @part
-def predict_mode(lane, small, j, q):
+def predict_mode(lane, axis, j, q):
     """m⁻ = F m, C⁻ = F C Fᵀ + q Q of mode j, in place."""
     p, axes = lane.m_prior.shape
     for i in range(p):
         for g in range(axes):
             s = 0.0
             for k in range(p):
-                s += small.F[i, k] * lane.mean[j, k, g]
+                s += axis.F[i, k] * lane.mean[j, k, g]
             lane.m_prior[i, g] = s
     for i in range(p):
         for k in range(p):
             s = 0.0
             for h in range(p):
-                s += small.F[i, h] * lane.cov[j, h, k]
+                s += axis.F[i, h] * lane.cov[j, h, k]
             lane.FT[i, k] = s
     for i in range(p):
         for k in range(i + 1):
-            s = q * small.Q[i, k]
+            s = q * axis.Q[i, k]
             for h in range(p):
-                s += lane.FT[i, h] * small.F[k, h]
+                s += lane.FT[i, h] * axis.F[k, h]
             lane.cov[j, i, k] = s
             lane.cov[j, k, i] = s
     for i in range(p):
@@ -645,28 +749,36 @@ def combine(lane):
 
 @kernel
 def step(
-    lane, model, small, modes, prior, near, losses, received, q, r, scale_stay, regime_stay, rate
+    lane, model, small, modes, prior, near, losses, t, received, q, r, scale_stay, regime_stay, rate
 ):  # fmt: skip
-    """One sample: mix, predict, judge, update, combine. The sample lies in the lane (`receive`)."""
+    """One sample: mix, predict, judge, update, combine. The sample lies in the lane (`receive`).
+
+    Where a loss is evidence (`losses`) it counts row by row, and so does the mixing.
+    """
     m = lane.y.shape[0]
-    fade = 1.0 if received > 0 else LOST_LEAK
+    begin_row(lane, model, small, q, received)
+    silent = silence(lane, t)
+    age = min(silent, PERIOD) + LOST_LEAK * max(silent - PERIOD, 0.0)
     gather(lane)
-    leak_scales(lane, 1.0 - fade * (1.0 - scale_stay), near)
+    leak_scales(lane, scale_stay**age, near)
     if lane.grid[1] > 1:
-        leak_regimes(lane, 1.0 - fade * (1.0 - regime_stay), prior)
+        leak_regimes(lane, regime_stay**age, prior)
     scatter(lane)
     if losses.shape[0] > 0:
         judge_loss(lane, losses, received == 0)
+        lane.rows_since = 0
+        lane.heard = t
     mean_q, mean_r = 0.0, 0.0
     for j in range(lane.grid[0] * lane.grid[1]):
         mean_q += lane.weight[j] * modes[j, 1]
         mean_r += lane.weight[j] * modes[j, 0] * (1.0 + modes[j, 2] * rate * (OUTLIER_SCALE - 1.0))
-        predict_mode(lane, small, j, q * modes[j, 1])
-    predict(lane, model, q * mean_q)
+        predict_mode(lane, lane.axis, j, modes[j, 1])
+    predict(lane, lane.whole, mean_q)
     for i in range(m):
         for j in range(m):
             lane.R_used[i, j] = r * mean_r * model.R[i, j]
     expect(lane, model, received)
+    watch(lane, model, t, received)
     if received > 0:
         update_modes(lane, small, modes, r, rate, received)
     combine(lane)
@@ -675,7 +787,7 @@ def step(
 
 @kernel
 def run(
-    lanes, models, smalls, y, lost, parameters, interval, modes, prior, near, losses,
+    lanes, models, smalls, y, lost, time, parameters, interval, modes, prior, near, losses,
     states, covariances, innovations, nis, log_likelihoods, weights,
 ):  # fmt: skip
     """Filter every series with parameters (N or 1, intervals, 5)."""
@@ -687,8 +799,9 @@ def run(
             now = min(k, models.shape[1] - 1)
             received = receive(lane, y, lost, i, k)
             step(
-                lane, models[i, now], smalls[i, now], modes, prior, near, losses, received,
-                row[PROCESS], row[MEASUREMENT], row[SCALE_STAY], row[REGIME_STAY], row[OUTLIER_RATE],
+                lane, models[i, now], smalls[i, now], modes, prior, near, losses, time[i, k],
+                received, row[PROCESS], row[MEASUREMENT], row[SCALE_STAY], row[REGIME_STAY],
+                row[OUTLIER_RATE],
             )  # fmt: skip
             report(lane, i, k, states, covariances, innovations, nis, log_likelihoods)
             if weights.shape[1] > 0:

@@ -274,7 +274,7 @@ def spread(lane, memory):
 
 @kernel
 def run(
-    networks, lanes, models, smalls, y, lost, parameters, interval, modes, prior, near, losses,
+    networks, lanes, models, smalls, y, lost, time, parameters, interval, modes, prior, near, losses,
     states, covariances, innovations, nis, log_likelihoods, weights, inputs, means, bank_weights,
     memories,
 ):  # fmt: skip
@@ -288,8 +288,8 @@ def run(
             chosen = parameters[row, min(k // interval, parameters.shape[1] - 1)]
             received = receive(lane, y, lost, i, k)
             step(
-                lane, models[i, now], smalls[i, now], modes, prior, near, losses, received,
-                chosen[PROCESS], chosen[MEASUREMENT], chosen[SCALE_STAY], chosen[REGIME_STAY],
+                lane, models[i, now], smalls[i, now], modes, prior, near, losses, time[i, k],
+                received, chosen[PROCESS], chosen[MEASUREMENT], chosen[SCALE_STAY], chosen[REGIME_STAY],
                 chosen[OUTLIER_RATE],
             )  # fmt: skip
             look(lane, memory, received)

@@ -32,6 +32,7 @@ from navgym.statespace.filters.lane import (
     remember,
     report,
     start,
+    watch,
 )
 
 if TYPE_CHECKING:
@@ -69,6 +70,7 @@ def step(lane, model, t, received, q, r, fill, inflation):
         for j in range(m):
             lane.R_used[i, j] = r * model.R[i, j]
     expect(lane, model, received)
+    watch(lane, model, t, received)
     if fill >= HOLD:
         substitute(lane, fill)
         received = m

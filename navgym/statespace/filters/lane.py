@@ -13,13 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navgym.core.checks import Array
-from navgym.core.compile import part
-from navgym.core.health import NUMERICAL, POWER_MEMORY, SPIKE, watch_power
+from navgym.core.compile import inline, part
+from navgym.core.health import NUMERICAL, POWER_MEMORY, RUNAWAY
 from navgym.core.linalg import correct, innovate, joseph, observe_vector
 from navgym.statespace.batch import Batch, outputs
 
 LOG_2PI = math.log(2.0 * math.pi)
 NO_LIMIT = 2**62
+# Memory is in seconds: what a filter forgets, or a mode leaks, is told per this long. So an
+# estimate depends neither on the rate of a log nor on rows without a measurement.
+PERIOD = 1.0
+# A filter has lost the track where its innovations are, for a while, this many times larger in the
+# mean than those of someone who repeats the last measurement, or extends the last two.
+BEHIND = math.log(25.0)
 
 
 def fields(n: int, m: int) -> list[tuple[str, Any, tuple[int, ...]]]:
@@ -33,8 +39,13 @@ def fields(n: int, m: int) -> list[tuple[str, Any, tuple[int, ...]]]:
         ("innovation", f8, (m,)),
         ("nis", f8, ()),
         ("log_likelihood", f8, ()),
-        ("power", f8, ()),
-        ("grace", f8, ()),  # share of H P⁻ Hᵀ added to R when judging health: a wide P0 is sound
+        ("behind", f8, ()),  # mean log-ratio of squared innovations, its own over naive ones
+        ("heard", f8, ()),  # time at which something was last received, s
+        # the last two received values of each component, older first: what a naive guess rests on
+        ("last", f8, (m, 2)),
+        ("last_time", f8, (m, 2)),
+        ("last_count", i8, (m,)),
+        ("angle", i8, (m,)),  # 1 where a component wraps
         ("diverged", i8, ()),
         ("k", i8, ()),  # samples done: `run` goes on from here ...
         ("length", i8, ()),  # ... to here, or to the end of the data
@@ -59,7 +70,7 @@ def start(lanes: NDArray[Any], models: NDArray[Any]) -> None:
     lanes[...] = np.zeros((), lanes.dtype)
     lanes["x"] = models["x0"][:, 0]
     lanes["P"] = models["P0"][:, 0]
-    lanes["grace"] = 1.0
+    lanes["heard"] = np.nan
     lanes["length"] = NO_LIMIT
 
 
@@ -130,27 +141,34 @@ def quadratic(lane, i, t):
 
 
 @part
+def silence(lane, t):
+    """Seconds since something was last received; `PERIOD` at the first sample.
+
+    A time that is counted from what was received, not from the last row, is the same whether rows
+    without a measurement are there or not.
+    """
+    if not lane.heard <= t:
+        lane.heard = t - PERIOD
+    return t - lane.heard
+
+
+@part
 def expect(lane, model, received):
-    """Judge the sample by the prediction and R_used: innovation, NIS, log-likelihood, health.
+    """Judge the sample by the prediction and R_used: innovation, NIS, log-likelihood.
 
     Leaves S, W and z of `innovate` in the lane.
     """
-    expect_nothing(lane, received)
+    expect_nothing(lane)
     if received > 0:
         for j in range(lane.y.shape[0]):
             if lane.use[j]:
                 lane.innovation[j] = lane.y[j] - observe_vector(model, j, lane.x_prior)
-        judge(lane, model, received, innovate(lane, model))
+        score(lane, received, innovate(lane, model))
 
 
 @part
-def expect_nothing(lane, received):
-    """No innovation, NIS or log-likelihood yet: what a lost sample reports.
-
-    Through an outage the health check learns again to expect large innovations.
-    """
-    if received == 0:
-        lane.grace = 1.0 - POWER_MEMORY * (1.0 - lane.grace)
+def expect_nothing(lane):
+    """No innovation, NIS or log-likelihood yet: what a lost sample reports."""
     for j in range(lane.y.shape[0]):
         lane.innovation[j] = math.nan
     lane.nis = math.nan
@@ -158,22 +176,57 @@ def expect_nothing(lane, received):
 
 
 @part
-def judge(lane, model, received, whitened):
-    """NIS, log-likelihood and health from the lane's innovation, and from what `whiten` returned."""
+def score(lane, received, whitened):
+    """NIS and log-likelihood of the lane's innovation, from what `whiten` returned."""
     ok, nis, log_det = whitened
-    power = 0.0
-    for j in range(lane.y.shape[0]):
-        if lane.use[j]:
-            variance = -lane.R_used[j, j]  # of the prediction alone: (H P⁻ Hᵀ)_jj
-            for k in range(j + 1):
-                variance += lane.S[j, k] * lane.S[j, k]
-            power += lane.innovation[j] ** 2 / (model.R[j, j] + lane.grace * variance)
-    lane.grace *= POWER_MEMORY
     lane.nis = nis
     lane.log_likelihood = -0.5 * (nis + log_det + received * LOG_2PI)
-    if not (ok and math.isfinite(power)):
+    if not (ok and math.isfinite(nis)):
         lane.diverged = NUMERICAL
-    watch_power(lane, min(power / received, SPIKE), 1)
+
+
+@part
+def watch(lane, model, t, received):
+    """Flag a lane that for a while foretells worse than who repeats or extends the last values.
+
+    A filter that adapts P or R can explain anything, and one whose R is wrong may be sound, so
+    neither its own covariance nor the model's R tells that it has lost the track. What the
+    measurements themselves do from one to the next does: the model's R is only the scale below which
+    differences are of no interest. A spike counts by its logarithm, and for the naive guess as well.
+    """
+    own, still, straight, judged = 0.0, 0.0, 0.0, 0
+    for j in range(lane.y.shape[0]):
+        if lane.use[j]:
+            if lane.last_count[j] > 1:
+                d = wrapped(lane, j, lane.y[j] - lane.last[j, 1])
+                slope = wrapped(lane, j, lane.last[j, 1] - lane.last[j, 0])
+                slope /= lane.last_time[j, 1] - lane.last_time[j, 0]
+                still += d * d / model.R[j, j]
+                d = wrapped(lane, j, d - slope * (t - lane.last_time[j, 1]))
+                straight += d * d / model.R[j, j]
+                own += lane.innovation[j] ** 2 / model.R[j, j]
+                judged += 1
+            lane.last[j, 0] = lane.last[j, 1]
+            lane.last_time[j, 0] = lane.last_time[j, 1]
+            lane.last[j, 1] = lane.y[j]
+            lane.last_time[j, 1] = t
+            lane.last_count[j] += 1
+    if judged > 0:
+        naive = min(still, straight) / judged
+        ahead = math.log((1.0 + own / judged) / (1.0 + naive))
+        lane.behind += (1.0 - POWER_MEMORY) * (ahead - lane.behind)
+    if not lane.behind < BEHIND and lane.diverged == 0:
+        lane.diverged = RUNAWAY
+    if received > 0:
+        lane.heard = t
+
+
+@inline
+def wrapped(lane, j, difference):
+    """A difference in component j, in [−π, π) if it is an angle."""
+    if lane.angle[j]:
+        difference -= 2.0 * math.pi * math.floor(difference / (2.0 * math.pi) + 0.5)
+    return difference
 
 
 @part

@@ -35,12 +35,14 @@ from navgym.statespace.filters.lane import (
     expect,
     expect_nothing,
     fields,
-    judge,
     keep_prediction,
     padded,
     receive,
     report,
+    score,
     start,
+    watch,
+    wrapped,
 )
 
 if TYPE_CHECKING:
@@ -58,7 +60,8 @@ def lane_type(n: int, m: int) -> np.dtype[Any]:
         ("points", f8, (2 * n + 1, n)),
         ("seen", f8, (2 * n + 1, m)),
         ("mean", f8, (max(n, m),)),  # of the differences from the centre point
-        ("angle", np.int64, (m,)),
+        ("raw", f8, (m,)),  # the sample as it came
+        ("cycles", np.int64, ()),  # samples of which something was received
         ("local", models.record(n, m), ()),
     ]
     return np.dtype(extra + fields(n, m))
@@ -232,15 +235,6 @@ sense_slope = _by_model(_linear_sense_slope, _turn_sense_slope)
 
 
 @part
-def difference(lane, j, a, b):
-    """Difference a − b in measurement component j, wrapped into [−π, π) if it is an angle."""
-    d = a - b
-    if lane.angle[j]:
-        d -= 2.0 * math.pi * math.floor(d / (2.0 * math.pi) + 0.5)
-    return d
-
-
-@part
 def scale_noise(lane, model, r):
     """Set R_used = r R."""
     for i in range(lane.y.shape[0]):
@@ -249,7 +243,7 @@ def scale_noise(lane, model, r):
 
 
 @kernel
-def extended_step(lane, model, received, q, r):
+def extended_step(lane, model, t, received, q, r):
     """One sample of the extended filter: the Kalman filter of the model tangent to f and h."""
     n = lane.x.shape[0]
     m = lane.y.shape[0]
@@ -270,13 +264,17 @@ def extended_step(lane, model, received, q, r):
     sense(lane, model, 0)
     for j in range(m):
         # the y whose innovation under the tangent model, y − H x⁻, is the wrapped z − h(x⁻)
-        v = difference(lane, j, lane.y[j], lane.seen[0, j])
+        v = wrapped(lane, j, lane.y[j] - lane.seen[0, j])
+        lane.raw[j] = lane.y[j]
         lane.y[j] = v + observe_vector(lane.local, j, lane.x_prior)
     expect(lane, lane.local, received)
     if received > 0:
         apply_innovation(lane, lane.local)
     else:
         keep_prediction(lane)
+    for j in range(m):
+        lane.y[j] = lane.raw[j]
+    watch(lane, model, t, received)
     settle(lane)
 
 
@@ -339,12 +337,12 @@ def gather_measurements(lane, a):
     for j in range(m):
         s = 0.0
         for i in range(1, 2 * n + 1):
-            lane.seen[i, j] = difference(lane, j, lane.seen[i, j], lane.seen[0, j])
+            lane.seen[i, j] = wrapped(lane, j, lane.seen[i, j] - lane.seen[0, j])
             s += lane.seen[i, j]
         lane.mean[j] = weight * s
         lane.z[j] = 0.0
         if lane.use[j]:
-            lane.z[j] = difference(lane, j, lane.y[j], lane.seen[0, j] + lane.mean[j])
+            lane.z[j] = wrapped(lane, j, lane.y[j] - lane.seen[0, j] - lane.mean[j])
             lane.innovation[j] = lane.z[j]
     for j in range(m):
         for k in range(j + 1):
@@ -363,7 +361,7 @@ def gather_measurements(lane, a):
 
 
 @kernel
-def sigma_step(lane, model, received, q, r, a):
+def sigma_step(lane, model, t, received, q, r, a):
     """One sample through sigma points of spread a: an unscented stage, or at a = 1 a cubature one."""
     n = lane.x.shape[0]
     for i in range(n):
@@ -374,7 +372,7 @@ def sigma_step(lane, model, received, q, r, a):
     for i in range(2 * n + 1):
         move(lane, model, i)
     gather_states(lane, model, 0.5 / (n * a * a), q)
-    expect_nothing(lane, received)
+    expect_nothing(lane)
     if received > 0:
         scale_noise(lane, model, r)
         # QIVBF eq. 10, corrected: h takes new points of (x⁻, P⁻), as in eq. 22. Those of eq. 8
@@ -383,11 +381,12 @@ def sigma_step(lane, model, received, q, r, a):
         for i in range(2 * n + 1):
             sense(lane, model, i)
         gather_measurements(lane, a)
-        judge(lane, model, received, whiten(lane))
+        score(lane, received, whiten(lane))
         # QIVBF eq. 16, 26, corrected: P = P⁻ − K Pzz Kᵀ; K Pzz Kᵀ = WᵀW after `whiten`
         correct(lane)
     else:
         keep_prediction(lane)
+    watch(lane, model, t, received)
     settle(lane)
 
 
@@ -396,10 +395,10 @@ def run(
     lanes, models, y, lost, time, scales, parameters, interval, method,
     states, covariances, innovations, nis, log_likelihoods,
 ):  # fmt: skip
-    """Filter every series: parameters (·, ·, 3) are q, r and a; `time` and `scales` are unused.
+    """Filter every series: parameters (·, ·, 3) are q, r and a; `scales` are unused.
 
-    QIVBF steps 1-8, corrected: a cycle of CUKF takes two samples, the unscented stage those of
-    even index and the cubature stage those of odd index, so that no measurement is used twice.
+    QIVBF steps 1-8, corrected: a cycle of CUKF takes two received samples, the unscented stage the
+    first and the cubature stage the second, so that no measurement is used twice.
     """
     for i in range(lanes.shape[0]):
         lane = lanes[i]
@@ -411,9 +410,10 @@ def run(
             q = parameters[p, j, 0]
             r = parameters[p, j, 1]
             if method == EXTENDED:
-                extended_step(lane, model, received, q, r)
+                extended_step(lane, model, time[i, k], received, q, r)
             else:
-                cubature = method == ALTERNATING and k % 2 == 1
+                cubature = method == ALTERNATING and lane.cycles % 2 == 1
                 a = CUBATURE if cubature else parameters[p, j, 2]
-                sigma_step(lane, model, received, q, r, a)
+                sigma_step(lane, model, time[i, k], received, q, r, a)
+            lane.cycles += 1 if received > 0 else 0
             report(lane, i, k, states, covariances, innovations, nis, log_likelihoods)

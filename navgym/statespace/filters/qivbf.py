@@ -30,6 +30,7 @@ from navgym.core.linalg import (
 )
 from navgym.statespace.batch import Batch
 from navgym.statespace.filters.lane import (
+    PERIOD,
     estimate_lanes,
     expect,
     fields,
@@ -39,7 +40,9 @@ from navgym.statespace.filters.lane import (
     receive,
     remember,
     report,
+    silence,
     start,
+    watch,
 )
 
 if TYPE_CHECKING:
@@ -49,6 +52,10 @@ LEAST_COUNT = 1.0  # floor of ν⁻
 # Losses alone never forget R below this count: with less, the wide P⁻ after a long outage passes for
 # noise, and the first measurements are distrusted (13-18 m for 20 samples where 0.8 m are possible).
 LEAST_COUNT_LOST = 10.0
+# R̂ stays between these multiples of the model's R. Measurements that are redundant and agree would
+# shrink it without end along what they have in common, until it is singular; a filter that has lost
+# the track would take the whole way for noise, and never come back.
+LEAST_NOISE, MOST_NOISE = 1e-6, 1e4
 EXTRAPOLATE = 1
 
 # columns of a parameter array, in the order of the declared parameter space
@@ -167,11 +174,19 @@ def complete_noise(lane):
 
 
 @part
+def forget(lane, rho, silent):
+    """ν⁻ after `silent` seconds in which nothing was received: ρ per second, with floors."""
+    fresh = rho ** min(silent, PERIOD) * min(lane.count, LEAST_COUNT_LOST)
+    lane.count = max(rho**silent * lane.count, fresh, LEAST_COUNT)
+
+
+@part
 def sweep(lane, model, tau_weight, count_weight, complete):
     """One round over q(P), q(R), q(x) (QIVBF eq. 34-41, corrected); returns `innovate`'s ok.
 
-    tau_weight = 1/(τ+1) and count_weight = 1/(ν⁻+1) are the shares that one sample has in P̂, R̂.
-    The prior stays fixed over sweeps (eq. 34-35), x restarts from x⁻ (eq. 40).
+    tau_weight = s/(τ+s) and count_weight = s/(ν⁻+s) are the shares that one sample has in P̂, R̂,
+    where s is what it counts. The prior stays fixed over sweeps (eq. 34-35), x restarts from x⁻
+    (eq. 40).
     """
     n = lane.x.shape[0]
     m = lane.y.shape[0]
@@ -186,19 +201,37 @@ def sweep(lane, model, tau_weight, count_weight, complete):
         complete_noise(lane)
     for i in range(m):
         for j in range(m):
-            s = (1.0 - count_weight) * lane.R[i, j] + count_weight * lane.B[i, j]
+            s = (1.0 - count_weight) * lane.R[i, j]
+            s += count_weight * (lane.B[i, j] + LEAST_NOISE * model.R[i, j])
             lane.R_used[i, j] = s
     ok, _, _ = innovate(lane, model)
     return ok
 
 
 @part
-def adapt(lane, model, sweeps, tau, complete):
-    """The measurement update: `sweeps` rounds from x = x⁻, P = P⁻; R̂ and its count move on."""
+def bound_noise(lane, model):
+    """Bring R̂ down to `MOST_NOISE` of the model's R, component by component."""
+    m = lane.y.shape[0]
+    for i in range(m):
+        most = MOST_NOISE * model.R[i, i]
+        if lane.R[i, i] > most:
+            d = math.sqrt(most / lane.R[i, i])
+            for j in range(m):
+                lane.R[i, j] *= d
+                lane.R[j, i] *= d
+
+
+@part
+def adapt(lane, model, sweeps, tau, weight, complete):
+    """The measurement update: `sweeps` rounds from x = x⁻, P = P⁻; R̂ and its count move on.
+
+    A sample counts for as many seconds as have passed since the last one, at most for `PERIOD`, so
+    that memory is in seconds and ten samples that err together do not outvote everything else.
+    """
     n = lane.x.shape[0]
     m = lane.y.shape[0]
-    tau_weight = 1.0 / (tau + 1.0)
-    count_weight = 1.0 / (lane.count + 1.0)
+    tau_weight = weight / (tau + weight)
+    count_weight = weight / (lane.count + weight)
     keep_prediction(lane)
     for i in range(n):
         for j in range(n):
@@ -219,7 +252,8 @@ def adapt(lane, model, sweeps, tau, complete):
     for i in range(m):
         for j in range(m):
             lane.R[i, j] = lane.R_used[i, j]
-    lane.count += 1.0
+    bound_noise(lane, model)
+    lane.count += weight
 
 
 @kernel
@@ -227,15 +261,17 @@ def step(lane, model, t, received, sweeps, tau, rho, process, fill, inflation):
     """One sample: predict, forget, judge, adapt, fill. The sample lies in the lane (`receive`)."""
     m = lane.y.shape[0]
     predict(lane, model, process)
-    least = LEAST_COUNT if received > 0 else min(lane.count, LEAST_COUNT_LOST)
-    lane.count = max(rho * lane.count, least)
+    silent = silence(lane, t)
+    if received > 0:
+        forget(lane, rho, silent)
     follow_model(lane, model)
     for i in range(m):
         for j in range(m):
             lane.R_used[i, j] = lane.R[i, j]
     expect(lane, model, received)
+    watch(lane, model, t, received)
     if received > 0:
-        adapt(lane, model, sweeps, tau, received < m)
+        adapt(lane, model, sweeps, tau, min(silent, PERIOD), received < m)
     else:
         keep_prediction(lane)
     remember(lane, t)

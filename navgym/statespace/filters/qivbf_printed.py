@@ -33,6 +33,7 @@ from navgym.statespace.filters.lane import (
     remember,
     report,
     start,
+    watch,
 )
 
 if TYPE_CHECKING:
@@ -128,6 +129,7 @@ def step(lane, model, t, received, sweeps, tau, count0):
             lane.R_used[i, j] = model.R[i, j]
             lane.U[i, j] = count0 * model.R[i, j]
     expect(lane, model, received)
+    watch(lane, model, t, received)
     for i in range(n):
         lane.x[i] = lane.x_prior[i]
         lane.x_first[i] = lane.x_prior[i]
