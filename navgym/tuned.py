@@ -7,12 +7,11 @@ on. It can be written by hand.
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
+from navgym.core.storage import read_toml
 from navgym.problem import problems_with
 
 
@@ -39,13 +38,7 @@ def read_tuned(path: str | os.PathLike[str]) -> Tuned:
         ValueError: no TOML, no filter, or parameters that the filter does not have or that lie
             outside their ranges; the message names the file.
     """
-    source = Path(path)
-    try:
-        content = tomllib.loads(source.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(
-            f"{path} is not TOML ({error}): write it anew with navgym tune."
-        ) from error
+    content = read_toml(path)
     missing = [name for name in ("filter", "parameters") if name not in content]
     if missing or not isinstance(content.get("parameters"), dict):
         raise ValueError(

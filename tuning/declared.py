@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import collections.abc
 import dataclasses
-import tomllib
 import types
 import typing
 from collections.abc import Mapping
@@ -14,6 +13,7 @@ from typing import Any, Literal, TypeVar
 import tomli_w
 
 from navgym.core.checks import one_of
+from navgym.core.storage import read_toml
 
 S = TypeVar("S")
 
@@ -55,11 +55,11 @@ def from_dict(kind: type[S], values: Mapping[str, Any]) -> S:
 
 def from_toml(kind: type[S], path: Path) -> S:
     """Read a file; ValueError naming it for what cannot be read or is wrong."""
+    values = read_toml(path)
     try:
-        return from_dict(kind, tomllib.loads(path.read_text(encoding="utf-8")))
-    except ValueError as error:  # TOMLDecodeError and UnicodeDecodeError are ones
-        what = "is not TOML: " if isinstance(error, tomllib.TOMLDecodeError) else ""
-        raise ValueError(f"{path} {what}{error}") from error
+        return from_dict(kind, values)
+    except ValueError as error:
+        raise ValueError(f"{path} {error}") from error
 
 
 def _made(kind: Any, values: Mapping[str, Any], where: str) -> Any:

@@ -10,7 +10,6 @@ import ast
 import dataclasses
 import inspect
 import json
-import tomllib
 import typing
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -21,6 +20,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 
 from navgym.agents.evaluation.rollout import problem_in
 from navgym.core.checks import one_of, positive_int, within
+from navgym.core.storage import parse_json, read_toml
 from navgym.problem import Preset, Problem, environments, problems
 from navgym.simulation import find_scenario
 from navgym.tuning import declared
@@ -28,7 +28,7 @@ from navgym.tuning import declared
 
 def _object(text: str) -> dict[str, Any]:
     """A JSON object; ValueError for anything else."""
-    found = json.loads(text)
+    found = parse_json(text)
     if not isinstance(found, dict):
         raise ValueError(f"must be a JSON object, got {text!r}.")  # noqa: TRY004 - tyro wants one
     return found
@@ -269,11 +269,11 @@ class Configuration:
     @classmethod
     def from_toml(cls, path: Path) -> Configuration:
         """Read a file; ValueError naming it for what cannot be read or is wrong."""
+        values = read_toml(path)
         try:
-            return cls.from_dict(tomllib.loads(path.read_text(encoding="utf-8")))
-        except ValueError as error:  # TOMLDecodeError and UnicodeDecodeError are ones
-            what = "is not TOML: " if isinstance(error, tomllib.TOMLDecodeError) else ""
-            raise ValueError(f"{path} {what}{error}") from error
+            return cls.from_dict(values)
+        except ValueError as error:
+            raise ValueError(f"{path} {error}") from error
 
 
 def current(values: Mapping[str, Any]) -> dict[str, Any]:
