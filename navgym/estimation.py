@@ -75,12 +75,13 @@ def filters() -> dict[str, str]:
     return found
 
 
-def parameter_space(filter_name: str, problem: str | Problem | None = None) -> ParameterSpace:
+def parameter_space(filter_name: str, problem: Any = None) -> ParameterSpace:
     """What can be tuned in a filter.
 
     Args:
         filter_name: a name of `navgym.filters()`.
-        problem: whose filter, where several have one of that name: an "oracle".
+        problem: whose filter, where several have one of that name: an "oracle"; its name, the
+            `Problem`, or a recording, whose sensors' noise scales then stand in the space as well.
 
     Raises ValueError for an unknown name, or one that leaves open which filter is meant.
     """
@@ -90,7 +91,11 @@ def parameter_space(filter_name: str, problem: str | Problem | None = None) -> P
         problem = having[0] if len(spaces) == 1 else problem_of(filter_name)
     elif isinstance(problem, str):
         problem = PROBLEMS[one_of("problem", problem, PROBLEMS)]
-    return problem.find(filter_name).space
+    elif not isinstance(problem, Problem):
+        own = problem_of(problem)
+        return own.space(filter_name, own.stack([problem]))
+    space: ParameterSpace = problem.find(filter_name).space
+    return space
 
 
 @overload

@@ -428,6 +428,9 @@ class Problem:
         marks: by format, a regular expression that a file's first lines, or the names in a folder,
             hold where they are in it.
         told: (recording) to lines of a name and a text, what it holds beside times; None: nothing.
+        noise: (filter, batch) to the scales of the batch's models that stand beside the filter's own
+            parameters.
+        believing: (batch, values of those, (N or 1, ·)) to the batch whose models have them.
         filters: by name.
         stack: recordings to a `Batch`.
         runner: (filter, batch, table of parameters, interval, everything) to a `Run`; raises
@@ -468,6 +471,8 @@ class Problem:
     tracks: Tracks | None = None
     marks: Mapping[str, str] = field(default_factory=dict)
     told: Callable[[Any], list[tuple[str, str]]] | None = None
+    noise: Callable[[Filter, Any], ParameterSpace] = lambda _, __: ParameterSpace(())
+    believing: Callable[[Any, Array], Any] = lambda batch, _: batch
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travels by where it is found: a process that has not met it imports it."""
@@ -516,8 +521,23 @@ class Problem:
         chosen = self.find(filter_name)
         interval = batch.decision_interval if decision_interval is None else decision_interval
         positive_int("decision_interval", interval)
-        table = parameter_table(chosen.space, parameters, len(batch), batch.steps, interval)
+        # an array has the filter's own columns; a dict may name the models' noise as well
+        named = isinstance(parameters, Mapping) or (
+            isinstance(parameters, (list, tuple))
+            and any(isinstance(p, Mapping) for p in parameters)
+        )
+        space = self.space(chosen, batch) if named else chosen.space
+        table = parameter_table(space, parameters, len(batch), batch.steps, interval)
+        own = len(chosen.space)
+        if len(space) > own:
+            batch = self.believing(batch, table[:, 0, own:])
+            table = np.ascontiguousarray(table[:, :, :own])
         return self.runner(chosen, batch, table, interval, everything)
+
+    def space(self, filter_name: str | Filter, batch: Any) -> ParameterSpace:
+        """What can be tuned in a filter on a batch: its own parameters, then its models' noise."""
+        chosen = self.find(filter_name)
+        return ParameterSpace((*chosen.space, *self.noise(chosen, batch)))
 
     def full_name(self, scenario: Any) -> str:
         """A scenario's name with the problem's before it."""

@@ -122,8 +122,8 @@ class Cases:
         return next(iter(self.problem.scoring.quantities))
 
     def space(self, filter_name: str | Filter) -> ParameterSpace:
-        """What can be tuned in a filter on these recordings."""
-        return self.problem.find(filter_name).space
+        """What can be tuned in a filter on these recordings: its own, and their sensors' noise."""
+        return self.problem.space(filter_name, self.batch)
 
     def take(self, which: Sequence[int] | NDArray[np.int64]) -> Cases:
         """Some of the recordings, in the order of `which`."""

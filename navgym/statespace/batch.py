@@ -26,6 +26,8 @@ class Batch:
         truth: (N, T, n) true states, NaN past a recording's end, or None.
         lengths: (N,) samples of each.
         position: the states that are a position.
+        sensors: of each measurement component, (m,); see `LinearModel`.
+        axes: of each state, (n,).
         recordings: what was stacked.
     """
 
@@ -37,6 +39,8 @@ class Batch:
     truth: Array | None
     lengths: NDArray[np.int64]
     position: tuple[int, ...]
+    sensors: tuple[str, ...]
+    axes: tuple[str, ...]
     recordings: tuple[Recording, ...] = ()
 
     decision_interval: ClassVar[int] = 5  # samples per row of a schedule, as in the environment
@@ -54,9 +58,13 @@ class Batch:
             raise ValueError(
                 f"recordings must share one model size, got {sorted(sizes)}: split them."
             )
-        positions = {tuple(r.model.position) for r in recordings}
-        if len(positions) > 1:
-            raise ValueError(f"recordings must agree on their position states, got {positions}.")
+        told = {
+            name: {tuple(getattr(r.model, name)) for r in recordings}
+            for name in ("position", "sensors", "axes")
+        }
+        for name, found in told.items():
+            if len(found) > 1:
+                raise ValueError(f"recordings must agree on their models' {name}, got {found}.")
         lengths = np.array([len(r) for r in recordings])
         longest = int(lengths.max())
         packed = [r.model.pack() for r in recordings]
@@ -78,7 +86,7 @@ class Batch:
             scales=scales,
             truth=np.stack([_pad(r.truth, longest, np.nan) for r in recordings]) if known else None,
             lengths=lengths,
-            position=positions.pop(),
+            **{name: found.pop() for name, found in told.items()},
             recordings=tuple(recordings),
         )
 

@@ -72,6 +72,8 @@ class CoordinatedTurnModel(Frozen):
     position: ClassVar[tuple[int, ...]] = (0, 2)
     velocity: ClassVar[tuple[int, ...]] = (1, 3)
     angles: ClassVar[tuple[int, ...]] = (1, 3)
+    sensors: ClassVar[tuple[str, ...]] = ("range", "bearing", "speed", "heading")
+    axes: ClassVar[tuple[str, ...]] = ("translation",) * 4 + ("turn",)
     n: ClassVar[int] = STATES
     m: ClassVar[int] = MEASUREMENTS
 
