@@ -86,7 +86,12 @@ def read(
     known = options_of(reader)
     for option in options:
         one_of(f"option of format {name!r}:", option, known)
-    return reader(path, **options)
+    try:
+        return reader(path, **options)
+    except ValueError as error:
+        if Path(path).name in str(error):
+            raise
+        raise ValueError(f"{Path(path).name}: {error}") from error
 
 
 def reader_of(format_name: str) -> Callable[..., Any]:

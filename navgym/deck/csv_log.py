@@ -29,6 +29,9 @@ UNITS = ("main", "sub", "ref1", "ref2")
 QUATERNION = ("qx", "qy", "qz", "qw")
 FIX = {"latitude": 90.0, "longitude": 180.0}  # largest magnitudes, °
 STEP = 0.05  # s: filter steps shorter than this gain nothing
+RARE = 0.05  # share of values that may be sentinels
+MOST = {"gyro": 100.0, "acc": 1000.0}  # rad/s, m/s²: more is a sentinel, or another unit
+LONGEST_GRID = 100  # times the rows: a log that even steps would make longer has a wrong time in it
 WINDOW = 1.0  # s: rates and forces of both references are compared as means over this long
 REWEIGHTINGS = 4  # of rates against forces; their residuals settle in two or three
 
@@ -123,7 +126,9 @@ def read_deck_csv(
     _check_columns(table, extra)
     lever, told = _lever(table.path, model, lever_arm), _told(model, samples_per_step)
     time = _times(table, time_scale, regular)
-    log = _Log(table, time, _grid(time) if regular else time, scale, longest_gap)
+    limited = {"gyro": gyro_limit is not None, "acc": force_limit is not None}
+    most = {s: np.inf if limited[s] or not check_units else m for s, m in MOST.items()}
+    log = _Log(table, time, _grid(table, time) if regular else time, scale, longest_gap, most)
     believed = replace(_believed(model, told, log.grid), lever_arm=lever)
     notes = _notes(model, told, believed, gyro_unit)
     sides = (_installed("deviation1", deviation1), _installed("deviation2", deviation2))
@@ -147,14 +152,32 @@ class _Log(NamedTuple):
     grid: Array  # `time` itself where that is even
     scale: float  # rad/s in a unit of the gyro columns
     longest_gap: float | None
+    most: Mapping[str, float]  # rad/s of "gyro", m/s² of "acc" that can be; more is refused
 
     def imu(self, unit: str, gaps: bool) -> tuple[Array, Array]:
         """Rates in rad/s and specific forces of one unit, (G, 3) each."""
         names = [*_names(unit, "gyro"), *_names(unit, "acc")]
-        data = np.stack([self.table.numbers(name, gaps) for name in names], axis=-1)
+        data = np.stack([self._possible(name, gaps) for name in names], axis=-1)
         if self.grid is not self.time:
             data = resample(self.time, data, self.grid, self.longest_gap)
         return data[:, :3] * self.scale, data[:, 3:]
+
+    def _possible(self, name: str, gaps: bool) -> Array:
+        """A column, unless it holds what nothing on a ship can measure."""
+        values = self.table.numbers(name, gaps)
+        sensor = "gyro" if "_gyro_" in name else "acc"
+        size = np.abs(values) * (self.scale if sensor == "gyro" else 1.0)
+        most = self.most[sensor]
+        # where many are as large, it is the unit, which the recording checks
+        if (size > most).any() and np.mean(size > most / 10.0) < RARE:
+            k = int(np.nanargmax(size))
+            unit, limit = ("rad/s", "gyro") if sensor == "gyro" else ("m/s²", "force")
+            what = (
+                f"{values[k]:g} is {size[k]:.3g} {unit}, which no ship's IMU measures: leave such "
+                f"cells empty, or pass {limit}_limit= or check_units=False."
+            )
+            raise self.table.error(k, name, what)
+        return values
 
     def reference(self, lever_arm: Array, sides: Sequence[Rotation]) -> Array | None:
         """Reference attitude of the sub in the main IMU's axes, (G, 4), if the file has one."""
@@ -390,13 +413,22 @@ def _times(table: Table, scale: float, regular: bool) -> Array:
     return time
 
 
-def _grid(time: Array) -> Array:
+def _grid(table: Table, time: Array) -> Array:
     """Even times of the usual step over all of `time`, which need not be sorted."""
     unique = np.unique(time)
     if len(unique) < 2:
         raise ValueError(f"the log holds one time only, {unique[0]}: it needs two at least.")
-    count = round((unique[-1] - unique[0]) / float(np.median(np.diff(unique))))
-    return np.linspace(unique[0], unique[-1], count + 1)
+    steps = np.diff(unique)
+    count = (unique[-1] - unique[0]) / float(np.median(steps))
+    if not count <= LONGEST_GRID * len(time):  # NaN too
+        k = int(np.argmax(steps))
+        at = int(np.flatnonzero(time == unique[k + 1])[0])
+        what = (
+            f"{steps[k]:.6g} s lie between this time and the one before, where "
+            f"{np.median(steps):.6g} s are usual: repair it, or cut the log there."
+        )
+        raise table.error(at, "time", what)
+    return np.linspace(unique[0], unique[-1], round(count) + 1)
 
 
 def _given(table: Table, time: Array, grid: Array) -> Array:

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from navgym.core.checks import Array, positive_int, real_array, within
 from navgym.core.tables import Table, read_rows, read_table
 from navgym.deck.model import DeckModel
-from navgym.deck.recording import DualIMURecording, resample
+from navgym.deck.recording import IMPOSSIBLE, DualIMURecording, resample
 from navgym.inertial.flexure import FlexureModel
 
 AXES = ("X", "Y", "Z")
@@ -198,11 +198,21 @@ def _segment(path: Path) -> Segment:
         k = int(np.argmax(np.abs(size - 1.0)))
         what = f"the quaternion has length {size[k]:.4g}, not 1: repair or remove the row."
         raise table.error(k, "Vicon Orientation W", what)
-    data = [table.matrix([f"{kind} {axis}" for axis in AXES]) for kind in kinds]
+    data = [np.stack([_possible(table, f"{kind} {a}") for a in AXES], axis=-1) for kind in kinds]
     time, first = np.unique(time, return_index=True)
     if len(time) < 2:
         raise ValueError(f"{path.name} must hold two different times at least.")
     return Segment(time, Rotation.from_quat(vicon[first]), *(d[first] for d in data))
+
+
+def _possible(table: Table, column: str) -> Array:
+    """A column of measurements; ValueError for what no sensor measures in any unit."""
+    values = table.numbers(column)
+    if (np.abs(values) > IMPOSSIBLE).any():
+        k = int(np.argmax(np.abs(values)))
+        what = f"no sensor measures {values[k]:g}: repair or remove the row."
+        raise table.error(k, column, what)
+    return values
 
 
 def _shared_grid(pair: Sequence[Segment], rate: float) -> Array:

@@ -19,6 +19,8 @@ from navgym.core.frozen import Frozen
 from navgym.deck.model import DeckModel
 from navgym.inertial.earth import GRAVITY
 
+IMPOSSIBLE = 1e9  # rad/s or m/s², as rates or increments: no IMU's, but a damaged file's
+WHOLE = 2.0**53  # whole numbers up to here are exact
 _IMU = ("main_angle", "main_velocity", "sub_angle", "sub_velocity")
 _STEPS = {"disturbance": 6, "disturbance_variance": 6, "impulse_variance": 3, "true_flexure": 9}
 _ARRAYS = (*_IMU, "theta", "theta_rate", "static", "attitude", "regime", *_STEPS)
@@ -102,8 +104,9 @@ class DualIMURecording(Frozen):
         if self.regime is not None:
             labels = real_array("regime", self.regime)
             shaped("regime", labels, (T,), "a label per IMU sample")
-            if (labels != np.rint(labels)).any():
-                k = int(np.argmax(labels != np.rint(labels)))
+            odd = (labels != np.rint(labels)) | (np.abs(labels) > WHOLE)
+            if odd.any():
+                k = int(np.argmax(odd))
                 raise ValueError(f"regime must hold whole numbers, got {labels[k]} at sample {k}.")
             arrays["regime"] = labels.astype(np.int64)
         for name, width in _STEPS.items():
@@ -303,6 +306,12 @@ def _samples(name: str, value: ArrayLike, count: int) -> Array:
     if np.isinf(array).any():
         k = int(np.argwhere(np.isinf(array))[0, 0])
         raise ValueError(f"{name} must be finite or NaN, got inf at sample {k}: mark it as NaN.")
+    if (np.abs(array) > IMPOSSIBLE).any():
+        k, axis = (int(i) for i in np.argwhere(np.abs(array) > IMPOSSIBLE)[0])
+        raise ValueError(
+            f"{name} must hold what an IMU can measure, got {array[k, axis]:g} at sample {k}: mark "
+            "it as NaN."
+        )
     if np.isnan(array).all():
         raise ValueError(f"{name} holds nothing but NaN: nothing can be estimated.")
     return array
