@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import collections.abc
 import os
-import tomllib
 import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -30,6 +29,7 @@ from pathlib import Path
 from typing import Any, Self, TypeAlias
 
 from navgym.core.checks import one_of, short
+from navgym.core.storage import read_toml
 
 COLUMN = "column"  # the table of the file's columns
 QUANTITY = "quantity"
@@ -71,11 +71,9 @@ class Mapped:
         """
         source = Path(path)
         try:
-            told = tomllib.loads(source.read_text(encoding="utf-8"))
+            told = read_toml(source)
         except FileNotFoundError:
             raise FileNotFoundError(f"no mapping file at {source}: check the path.") from None
-        except (ValueError, RecursionError) as error:  # TOMLDecodeError, UnicodeDecodeError
-            raise ValueError(f"{source} is not TOML: {error}.") from None
         name, columns = told.pop("format", None), told.pop(COLUMN, {})
         if name is not None and not isinstance(name, str):
             raise ValueError(f"{source}: format must be text, got {short(name)}.")
