@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navgym.core.checks import Array, one_of, within
+from navgym.auv.columns import HELD
+from navgym.auv.fields import ANNOTATIONS
+from navgym.auv.geodesy import checked_origin, from_plane
+from navgym.auv.log import STATES, Log, component_names
+from navgym.auv.rows import merged, order
+from navgym.core.checks import Array, one_of, real_array, within
+from navgym.core.notes import Notes, Progress
 from navgym.core.tables import Table, read_table, write_table
+from navgym.core.text import LARGEST
 from navgym.statespace.models import LinearModel, step_of
 from navgym.statespace.recording import Model, Recording
 
-STATES = ("px", "vx", "py", "vy")
-ANNOTATIONS = ("regime", "process_scale", "measurement_scale")  # optional fields of Recording
 PRIOR_SIGMAS = 10.0  # x0 is made from the first fix, so it must weigh little: 1 % at ten sigma
 
 
@@ -40,7 +46,7 @@ def read_csv(
     position_noise: float = 1.0,
     velocity_noise: float = 0.1,
     acceleration: float = 0.1,
-    largest: float = 2e9,
+    largest: float = LARGEST,
 ) -> Recording:
     """A user's own log: a text file with a header line and a row per sample, at any times.
 
@@ -105,38 +111,46 @@ def read_csv(
             a clock that was set back, unknown units, two columns that could be meant, missing
             columns, a file that is empty or not text, a log without any received measurement.
     """
-    del units, decimal, encoding, missing, sort, held, origin, lever_arm, latency  # next commits
-    del accuracy_floor, largest
-    delimiter = "," if delimiter is None else delimiter
-    time_scale = 1.0 if time_scale is None else time_scale
-    scales = {
-        "time_scale": time_scale, "position_noise": position_noise,
-        "velocity_noise": velocity_noise, "acceleration": acceleration,
+    positive = {
+        "position_noise": position_noise, "velocity_noise": velocity_noise,
+        "acceleration": acceleration, "time_scale": 1.0 if time_scale is None else time_scale,
     }  # fmt: skip
-    for name, value in scales.items():
+    for name, value in positive.items():
         within(name, value, 0.0, above=True)
+    within("accuracy_floor", accuracy_floor, 0.0)
     one_of("extra", extra, ("say", "raise", "ignore"))
-    _check_kinds(columns, model)
-    table = _renamed(read_table(path, delimiter), columns, model)
-    measured, states = _component_names(model) if model else (measured_columns(table), STATES)
-    if extra != "ignore":
-        _refuse_strangers(table, measured, states)
-    time = table.increasing("time", time_scale, "Say which it is with columns={'time': ...}.")
-    y = np.stack([table.numbers(name, gaps=True) for name in measured], axis=-1)
-    y[lost_flags(table, measured)] = np.nan
-    if np.isnan(y).all():
-        raise ValueError(f"{table.path.name}: every measurement is lost, nothing can be estimated.")
-    if model is None:
-        sigmas = np.array([position_noise, velocity_noise] * 2)
-        model = default_model(time, y, measured, sigmas, acceleration)
-    return Recording(
-        time=time,
-        measurements=y,
-        truth=_truth(table, states, time),
-        model=model,
-        meta={"format": "csv", "file": table.path.name},
-        **{name: table.numbers(name) for name in ANNOTATIONS if name in table},
-    )
+    one_of("held", held, HELD)
+    _check_kinds(model, missing, columns=columns, units=units, latency=latency)
+    arm, plane = _arm(lever_arm), None if origin is None else checked_origin(origin)
+    with Progress(f"reading {Path(path).name}") as progress:
+        table = read_table(path, delimiter, decimal=decimal, encoding=encoding, largest=largest)
+        notes = Notes(table.path.name)
+        for sentence in table.said:
+            notes.say(sentence)
+        progress.at(0.3)
+        log = Log.of(table, model, columns or {}, units or {}, missing, extra, notes)
+        y, plane = log.measurements(held, arm, plane)
+        if np.isnan(y).all():
+            raise ValueError(f"{notes.file}: every measurement is lost, nothing can be estimated.")
+        progress.at(0.6)
+        time, start = log.times(time_scale, y)
+        rows = log.rows(time, y, accuracy_floor, plane)
+        rows = log.delayed(rows.take(order(rows.time, rows.lines, sort, notes)), latency or {})
+        rows = merged(rows, notes)
+        progress.at(0.9)
+        if model is None:
+            sigmas = np.array([position_noise, velocity_noise] * 2)
+            model = default_model(rows.time, rows.y, log.measured, sigmas, acceleration)
+        model = log.noisy(model, rows)
+        where = {"start": start, "origin": None if plane is None else list(plane)}
+        return Recording(
+            time=rows.time,
+            measurements=rows.y,
+            truth=log.truth(rows),
+            model=model,
+            meta=log.meta() | {name: value for name, value in where.items() if value is not None},
+            **rows.labels,
+        )
 
 
 def write_csv(recording: Recording, path: str | os.PathLike[str]) -> Path:
@@ -148,7 +162,7 @@ def write_csv(recording: Recording, path: str | os.PathLike[str]) -> Path:
 
     Raises FileNotFoundError if the folder does not exist.
     """
-    measured, states = _component_names(recording.model)
+    measured, states = component_names(recording.model)
     columns = {"time": recording.time.tolist()}
     columns |= dict(zip(measured, recording.measurements.T.tolist(), strict=True))
     if recording.truth is not None:
@@ -157,32 +171,37 @@ def write_csv(recording: Recording, path: str | os.PathLike[str]) -> Path:
     for name in ANNOTATIONS:
         if getattr(recording, name) is not None:
             columns[name] = getattr(recording, name).tolist()
+    columns |= _geographic_columns(recording, list(measured))
     return write_table(path, columns)
 
 
-def _component_names(model: Model) -> tuple[Sequence[str], Sequence[str]]:
-    """Names of a model's measurements and of its states."""
-    usual = model.n == 4 and tuple(model.position) == (0, 2) and tuple(model.velocity) == (1, 3)
-    states = STATES if usual else [f"x{i + 1}" for i in range(model.n)]
-    H = np.asarray(getattr(model, "H", np.empty(0)))
-    selects = H.ndim == 2 and (np.sort(H, axis=1) == [0.0] * (model.n - 1) + [1.0]).all()
-    rows = H.argmax(axis=1) if selects else []
-    if usual and len(set(rows)) == model.m:
-        return [STATES[i] for i in rows], states
-    return [f"z{i + 1}" for i in range(model.m)], states
+def _geographic_columns(recording: Recording, measured: Sequence[str]) -> dict[str, Any]:
+    """Latitude and longitude of the measured positions, where the recording came in degrees."""
+    origin = recording.meta.get("origin")
+    if origin is None or not {"px", "py"} <= set(measured):
+        return {}
+    p = [recording.measurements[:, measured.index(name)] for name in ("px", "py")]
+    latitude, longitude = from_plane(*p, origin)
+    return {"lat": latitude.tolist(), "lon": longitude.tolist()}
 
 
-def _meanings(measured: Sequence[str], states: Sequence[str]) -> list[str]:
-    """Every column name that has a meaning beside these measurements and states."""
-    flags = ["lost", *(f"lost_{name}" for name in measured)]
-    return ["time", *measured, *flags, *(f"truth_{name}" for name in states), *ANNOTATIONS]
-
-
-def _check_kinds(columns: object, model: object) -> None:
-    if columns is not None and not isinstance(columns, Mapping):
-        raise ValueError(
-            "columns must be a dict from navgym's names to the file's, such as {'px': 'north (m)'}, "
-            f"got {columns!r}."
+def _check_kinds(model: object, missing: object, **tables: object) -> None:
+    examples = {
+        "columns": "from navgym's names to the file's, such as {'px': 'north (m)'}",
+        "units": "from names to units, such as {'px': 'ft'}",
+        "latency": "from names to seconds, such as {'velocity': 0.5}",
+    }
+    for name, table in tables.items():
+        if table is not None and not isinstance(table, Mapping):
+            raise ValueError(f"{name} must be a dict {examples[name]}, got {table!r}.")
+        for key, value in (table or {}).items():
+            if name == "latency":
+                within(f"latency of {key}", value, -np.inf)
+            elif not isinstance(value, str):
+                raise ValueError(f"{name} must be a dict {examples[name]}, got {table!r}.")
+    if isinstance(missing, (str, bytes)) or not isinstance(missing, Iterable):
+        raise ValueError(  # noqa: TRY004 - as every wrong option
+            f"missing must be a list of words or numbers, such as [-9999], got {missing!r}."
         )
     if model is not None and not hasattr(model, "pack"):
         raise ValueError(
@@ -190,11 +209,13 @@ def _check_kinds(columns: object, model: object) -> None:
         )
 
 
-def _renamed(table: Table, columns: Mapping[str, str] | None, model: Model | None) -> Table:
-    known = _meanings(*(_component_names(model) if model else (STATES, STATES)))
-    for name in columns or {}:
-        one_of("name in columns:", name, known)
-    return table.renamed(columns or {})
+def _arm(lever_arm: object) -> Array | None:
+    if lever_arm is None:
+        return None
+    arm = real_array("lever_arm", lever_arm)  # type: ignore[arg-type]
+    if arm.shape not in ((2,), (3,)):
+        raise ValueError(f"lever_arm must be forward, right (and down), m, got {lever_arm!r}.")
+    return arm
 
 
 def measured_columns(table: Table) -> list[str]:
@@ -208,18 +229,6 @@ def measured_columns(table: Table) -> list[str]:
     return measured
 
 
-def _refuse_strangers(table: Table, measured: Sequence[str], states: Sequence[str]) -> None:
-    known = _meanings([*measured, *(name for name in STATES if name not in measured)], states)
-    for name in table.cells:
-        try:
-            one_of(f"column of {table.path.name}:", name, known)
-        except ValueError as error:
-            raise ValueError(
-                f"{error} Say what it holds with columns={{'px': {name!r}}} or the like, "
-                "or leave such columns out with extra='ignore'."
-            ) from None
-
-
 def lost_flags(table: Table, measured: Sequence[str]) -> NDArray[np.bool_]:
     """Flags of the columns lost and lost_*, (T, m)."""
     lost = np.zeros((len(table.lines), len(measured)), dtype=np.bool_)
@@ -228,25 +237,6 @@ def lost_flags(table: Table, measured: Sequence[str]) -> NDArray[np.bool_]:
             if column in table:
                 lost[:, j] |= table.flags(column)
     return lost
-
-
-def _truth(table: Table, states: Sequence[str], time: Array) -> Array | None:
-    """True states, (T, n), or None if the file has none."""
-    names = [f"truth_{name}" for name in states]
-    present = [name for name in names if name in table]
-    if not present:
-        return None
-    gone = [name for name in names if name not in table]
-    remedy = "Truth is needed in every row: fill it in, or remove the truth columns."
-    if states is STATES and gone == ["truth_vx", "truth_vy"] and len(time) > 1:
-        x, y = (table.numbers(name, remedy=remedy) for name in present)
-        return np.stack([x, np.gradient(x, time), y, np.gradient(y, time)], axis=-1)
-    if gone:
-        raise ValueError(
-            f"{table.path.name} has {', '.join(present)} but not {', '.join(gone)}: truth needs "
-            "every state, or at least truth_px and truth_py; add them or remove the truth columns."
-        )
-    return table.matrix(names, remedy)
 
 
 def default_model(

@@ -6,18 +6,78 @@ import csv
 import io
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navgym.core.atomic import replacing
 from navgym.core.checks import Array, one_of
+from navgym.core.layout import COMMENTS, LOST, Layout
+from navgym.core.layout import cells as cells_of
+from navgym.core.layout import find as find_layout
+from navgym.core.text import LARGEST, read_text
 
 FLAGS = {"0": False, "false": False, "1": True, "true": True}
-LOST = ("", "nan")  # cells that stand for a lost measurement
+ROWS = 1 << 16  # that are turned into numbers at a time: bounds memory
+WIDEST = 100  # characters of a cell that may be a number or a time
+PAD = b"\0" * WIDEST
+
+Bytes = NDArray[np.uint8]
+Places = NDArray[np.int64]
+
+
+class Cells(Sequence[str]):
+    """Cells of one column, cut out of the file's text when they are asked for.
+
+    Args:
+        text: UTF-8 bytes of the file, and `WIDEST` zeros after them.
+        starts: (T,) where each cell begins.
+        ends: (T,) where it ends.
+    """
+
+    def __init__(self, text: Bytes, starts: Places, ends: Places) -> None:
+        self._text, self._starts, self._ends = text, starts, ends
+
+    def __len__(self) -> int:
+        return len(self._starts)
+
+    @overload
+    def __getitem__(self, index: int) -> str: ...
+    @overload
+    def __getitem__(self, index: slice) -> Cells: ...
+    def __getitem__(self, index: int | slice) -> str | Cells:
+        if isinstance(index, slice):
+            return Cells(self._text, self._starts[index], self._ends[index])
+        cell = self._text[self._starts[index] : self._ends[index]].tobytes()
+        return cell.decode("utf-8", errors="replace").strip()
+
+    @property
+    def widths(self) -> Places:
+        """Bytes of each cell, (T,)."""
+        return self._ends - self._starts
+
+    def spelled(self) -> Bytes:
+        """Bytes of the cells, (T, W), zeros after each; W is at most `WIDEST`."""
+        widths = np.minimum(self.widths, WIDEST)
+        width = max(int(widths.max(initial=0)), 3)
+        windows = np.lib.stride_tricks.sliding_window_view(self._text, width)
+        found = windows[self._starts]
+        found[np.arange(width) >= widths[:, None]] = 0
+        return found
+
+    @classmethod
+    def of(cls, words: Sequence[str]) -> Cells:
+        """Cells from a list of text."""
+        if isinstance(words, Cells):
+            return words
+        spelled = [word.encode() for word in words]
+        ends = np.cumsum([len(word) for word in spelled], dtype=np.int64)
+        starts = ends - np.array([len(word) for word in spelled], dtype=np.int64)
+        return cls(np.frombuffer(b"".join(spelled) + PAD, np.uint8), starts, ends)
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,15 +87,24 @@ class Table:
     Args:
         path: where it was read.
         cells: text of each column, by its name in the header.
-        lines: number of each row's line in the file, the header being line 1.
+        lines: number of each row's line in the file, the file's first being 1.
+        decimal: mark in its numbers, "." or ",".
+        units: of columns, where a row below the header tells them.
+        said: sentences about how the file was read.
     """
 
     path: Path
     cells: Mapping[str, Sequence[str]]
-    lines: Sequence[int]
+    lines: Sequence[int] | Places
+    decimal: str = "."
+    units: Mapping[str, str] | None = None
+    said: Sequence[str] = ()
 
     def __contains__(self, column: str) -> bool:
         return column in self.cells
+
+    def __len__(self) -> int:
+        return len(self.lines)
 
     def find(self, column: str, remedy: str = "") -> Sequence[str]:
         """Cells of `column`; ValueError with the nearest name if the file has no such column."""
@@ -54,18 +123,46 @@ class Table:
         rest = {name: cells for name, cells in self.cells.items() if name not in taken}
         return replace(self, cells=chosen | rest)
 
-    def numbers(self, column: str, gaps: bool = False, remedy: str = "") -> Array:
-        """Column as floats, (T,); `gaps` turns empty and "nan" cells into NaN instead of raising.
+    def pieces(self, column: str) -> Iterator[tuple[int, Cells]]:
+        """The column in pieces of `ROWS` rows, each with the number of its first row."""
+        cells = Cells.of(self.find(column))
+        for first in range(0, len(cells), ROWS):
+            yield first, cells[first : first + ROWS]
+
+    def numbers(
+        self,
+        column: str,
+        gaps: bool = False,
+        remedy: str = "",
+        *,
+        lost: frozenset[str] = LOST,
+        infinite: bool = False,
+        number: Callable[[str], float] | None = None,
+    ) -> Array:
+        """Column as floats, (T,); `gaps` turns cells such as "", "nan" and "NA" into NaN.
+
+        Args:
+            column: its name.
+            gaps: whether a number may be missing.
+            remedy: for the error.
+            lost: words, in lower case, that stand for a missing number.
+            infinite: whether "inf" is let through.
+            number: what turns a cell that is no plain number into one, NaN where it cannot.
 
         Raises ValueError, naming line and column, for text, for infinity, and for gaps.
         """
+        self.find(column, remedy)
+        wanted = "a finite number, or nothing where lost" if gaps else "a finite number"
         values = np.empty(len(self.lines))
-        for i, cell in enumerate(self.find(column)):
-            lost = gaps and cell.lower() in LOST
-            values[i] = math.nan if lost else _number(cell)
-            if not lost and not math.isfinite(values[i]):
-                wanted = "a finite number, or nothing where lost" if gaps else "a finite number"
-                raise self.error(i, column, f"must be {wanted}, got {cell!r}. {remedy}")
+        for first, cells in self.pieces(column):
+            part = values[first : first + len(cells)]
+            wrong = _parsed(cells, part, self.decimal, lost if gaps else frozenset(), number)
+            if not infinite:
+                wrong |= np.isinf(part)
+            if wrong.any():
+                k = int(np.argmax(wrong))
+                what = f"must be {wanted}, got {_shown(cells[k])}. {remedy}"
+                raise self.error(first + k, column, what)
         return values
 
     def increasing(self, column: str, scale: float = 1.0, remedy: str = "") -> Array:
@@ -91,7 +188,7 @@ class Table:
         values = np.empty(len(self.lines), dtype=np.bool_)
         for i, cell in enumerate(self.find(column)):
             if cell.lower() not in FLAGS:
-                raise self.error(i, column, f"must be 0, 1, true or false, got {cell!r}.")
+                raise self.error(i, column, f"must be 0, 1, true or false, got {_shown(cell)}.")
             values[i] = FLAGS[cell.lower()]
         return values
 
@@ -101,8 +198,26 @@ class Table:
         return ValueError(f"{place}: {what}".strip())
 
 
-def read_table(path: str | os.PathLike[str], delimiter: str = ",") -> Table:
-    """Read a delimited text file (UTF-8) whose first line names the columns; blank lines are skipped.
+def read_table(
+    path: str | os.PathLike[str],
+    delimiter: str | None = None,
+    *,
+    decimal: str | None = None,
+    encoding: str | None = None,
+    largest: float = LARGEST,
+) -> Table:
+    """Read a delimited text file whose header names the columns.
+
+    Blank lines, comments (`COMMENTS`), lines above the header and a row of units below it are no
+    rows; a last row that was cut off is left out. See `navgym.core.text.read_text` for what text
+    may be.
+
+    Args:
+        path: the file.
+        delimiter: between cells, " " for any run of blanks; found in the file by default.
+        decimal: "." or ","; found in the file by default.
+        encoding: of the text; found in the file by default.
+        largest: bytes of text that are read at most.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -110,35 +225,23 @@ def read_table(path: str | os.PathLike[str], delimiter: str = ",") -> Table:
             row with too few or too many cells; the message names the line.
     """
     source = Path(path)
-    rows, lines = read_rows(source, delimiter)
-    if not rows:
-        raise ValueError(f"{source.name} is empty: it needs a header line and a row per sample.")
-    header = _header(source, rows[0])
-    for line, row in zip(lines, rows, strict=True):
-        if len(row) != len(header):
-            raise ValueError(
-                f"{source.name}, line {line}: {len(row)} cells, but the header names "
-                f"{len(header)} columns: repair the row, or set delimiter= ({delimiter!r} now)."
-            )
-    if len(rows) == 1:
-        raise ValueError(f"{source.name} has a header line but no rows: it needs one per sample.")
-    return Table(source, dict(zip(header, zip(*rows[1:], strict=True), strict=True)), lines[1:])
+    text, said = read_text(source, encoding, largest)
+    layout = find_layout(source.name, text, delimiter, decimal)
+    said = [*said, *layout.said]
+    body, lines = _body(source, text, layout)
+    starts, ends, lines = _grid(source, body, lines, layout, said)
+    buffer = np.frombuffer(body + PAD, np.uint8)
+    columns = {n: Cells(buffer, starts[:, j], ends[:, j]) for j, n in enumerate(layout.names)}
+    units = {n: u for n, u in zip(layout.names, layout.units, strict=False) if u}
+    return Table(source, columns, lines, layout.decimal, units, tuple(said))
 
 
 def read_rows(source: Path, delimiter: str) -> tuple[list[list[str]], list[int]]:
     """Stripped cells of each line that is not blank, and the lines' numbers; raises as `read_table`."""
     if not isinstance(delimiter, str) or len(delimiter) != 1:
         raise ValueError(f"delimiter must be one character such as ',' or ';', got {delimiter!r}.")
-    reader = csv.reader(io.StringIO(_text(source), newline=""), delimiter=delimiter, strict=True)
-    rows, lines = [], []
-    try:
-        for row in reader:
-            if any(cell.strip() for cell in row):
-                rows.append([cell.strip() for cell in row])
-                lines.append(reader.line_num)
-    except csv.Error as error:
-        raise ValueError(f"{source.name}, line {reader.line_num}: {error}.") from None
-    return rows, lines
+    text, _ = read_text(source)
+    return _quoted(source, text.decode("utf-8", errors="replace"), delimiter, 0)
 
 
 def write_table(path: str | os.PathLike[str], columns: Mapping[str, Iterable[object]]) -> Path:
@@ -156,44 +259,212 @@ def write_table(path: str | os.PathLike[str], columns: Mapping[str, Iterable[obj
     return target
 
 
-def _text(source: Path) -> str:
-    if source.is_dir():
-        raise ValueError(f"{source} is a folder: name the file in it.")
-    try:
-        content = source.read_bytes()
-    except FileNotFoundError:
-        raise FileNotFoundError(f"{source} does not exist: check the path.") from None
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{source.name} is not UTF-8 text ({error}): export it as CSV.") from None
-    if "\0" in text:
-        raise ValueError(f"{source.name} is a binary file, not text: export it as CSV.")
-    return text
+# ---- from text to cells ------------------------------------------------------------------------
 
 
-def _header(source: Path, names: list[str]) -> list[str]:
-    other = [mark for mark in ";\t|," if len(names) == 1 and mark in names[0]]
-    if other:
-        raise ValueError(
-            f"{source.name} has one column called {names[0]!r}: pass delimiter={other[0]!r}."
+def _quoted(
+    source: Path, text: str, delimiter: str, before: int
+) -> tuple[list[list[str]], list[int]]:
+    """Rows of a text by the csv module, and their lines' numbers, `before` lines being above."""
+    lines_of = io.StringIO(text, newline="")
+    reader = csv.reader(lines_of, delimiter=delimiter, strict=True, skipinitialspace=True)
+    rows, lines = [], []
+    try:
+        for row in reader:
+            if any(cell.strip() for cell in row):
+                rows.append([cell.strip() for cell in row])
+                lines.append(before + reader.line_num)
+    except csv.Error as error:
+        place = f"{source.name}, line {before + reader.line_num}"
+        raise ValueError(f"{place}: {error}: check its quotes.") from None
+    return rows, lines
+
+
+def _body(source: Path, text: bytes, layout: Layout) -> tuple[bytes, Places]:
+    """The rows as plain text, cells divided by the layout's delimiter, and each one's line."""
+    body = text[layout.begins :]
+    mark = layout.delimiter.encode()
+    if b'"' in body:
+        rows, numbers = _quoted(
+            source, body.decode("utf-8", errors="replace"), layout.delimiter, layout.line - 1
         )
-    if all(math.isfinite(_number(name)) for name in names):
-        raise ValueError(
-            f"{source.name}: the first line must name the columns, but it holds only numbers "
-            f"({', '.join(names[:4])}): put a header line such as time,px,py above it."
+        forbidden = {ord(layout.delimiter): "\x1f", ord("\n"): " "}
+        plain = "\n".join(
+            layout.delimiter.join(cell.translate(forbidden) for cell in row) for row in rows
         )
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise ValueError(
-            f"{source.name} has several columns called {twice[0]!r}: rename all but one."
+        return plain.encode(errors="replace"), np.array(numbers, dtype=np.int64)
+    lines = np.arange(layout.line, layout.line + body.count(b"\n") + 1, dtype=np.int64)
+    if layout.delimiter == " ":
+        split = (
+            cells_of(line.decode("utf-8", errors="replace"), " ") for line in body.split(b"\n")
         )
-    return names
+        return b"\n".join(mark.join(c.encode() for c in row) for row in split), lines
+    return body, lines
+
+
+def _grid(
+    source: Path, body: bytes, lines: Places, layout: Layout, said: list[str]
+) -> tuple[Places, Places, Places]:
+    """Where the cells of each row start and end, (T, columns) each, and the rows' lines, (T,)."""
+    whole = body.endswith(b"\n")
+    text = np.frombuffer(body if whole else body + b"\n", np.uint8)
+    stops = np.flatnonzero((text == ord(layout.delimiter)) | (text == ord("\n")))
+    width = len(layout.names)
+    even = stops.reshape(-1, width) if len(stops) % width == 0 else stops[:0]
+    ends_of_lines = np.flatnonzero(text == ord("\n"))
+    begins = np.append(0, ends_of_lines[:-1] + 1)
+    kept = ~_comments(text, begins)
+    if len(even) == len(begins) and np.array_equal(even[:, -1], ends_of_lines) and kept.all():
+        ends, lines = even, lines[: len(begins)]
+        starts = np.append(0, stops[:-1] + 1).reshape(even.shape)
+    else:
+        starts, ends, lines = _uneven(source, text, stops, kept, lines, layout, not whole, said)
+    starts, ends = _stripped(text, starts, ends)
+    filled = (ends > starts).any(axis=1)
+    if not filled.any():
+        raise ValueError(f"{source.name} has a header line but no rows: it needs one per sample.")
+    if filled.all():
+        return starts, ends, lines
+    return starts[filled], ends[filled], lines[filled]
+
+
+def _uneven(
+    source: Path,
+    text: Bytes,
+    stops: Places,
+    kept: NDArray[np.bool_],
+    lines: Places,
+    layout: Layout,
+    open_end: bool,
+    said: list[str],
+) -> tuple[Places, Places, Places]:
+    """As `_grid`, of a text in which some lines are no rows; `kept` is False at comments."""
+    last = np.flatnonzero(text[stops] == ord("\n"))  # of each line, among `stops`
+    first = np.append(0, last[:-1] + 1)
+    counts = last - first + 1
+    width = len(layout.names)
+    trailing = False
+    for i in np.flatnonzero(kept & (counts != width)).tolist():
+        line = text[stops[first[i] - 1] + 1 if first[i] else 0 : stops[last[i]]].tobytes()
+        cut = open_end and i == len(last) - 1
+        kept[i], more = _odd(source, line, layout, int(counts[i]), int(lines[i]), cut, said)
+        trailing |= more
+    if trailing:
+        said.append("rows end in a delimiter")
+    index = first[kept][:, None] + np.arange(width)
+    starts = np.where(index > 0, stops[index - 1] + 1, 0)
+    return starts, stops[index], lines[: len(last)][kept]
+
+
+def _comments(text: Bytes, begins: Places) -> NDArray[np.bool_]:
+    """Whether each line is a comment."""
+    found = np.zeros(len(begins), dtype=np.bool_)
+    padded = np.append(text, np.zeros(2, np.uint8))
+    for mark in COMMENTS:
+        same = np.ones(len(begins), dtype=np.bool_)
+        for i, letter in enumerate(mark.encode()):
+            same &= padded[begins + i] == letter
+        found |= same
+    return found
+
+
+def _odd(
+    source: Path,
+    line: bytes,
+    layout: Layout,
+    count: int,
+    number: int,
+    cut: bool,
+    said: list[str],
+) -> tuple[bool, bool]:
+    """Whether a line that has another number of cells is a row, and whether it ends in a delimiter."""
+    text = line.decode("utf-8", errors="replace")
+    width = len(layout.names)
+    if not text.strip() or text.lstrip().startswith(COMMENTS):
+        return False, False
+    if count == width + 1 and not text.split(layout.delimiter)[-1].strip():
+        return True, True
+    if cut and count < width:
+        said.append(f"line {number}, the last, was cut off: left out")
+        return False, False
+    raise ValueError(
+        f"{source.name}, line {number}: {count} cells, but the header names {width} columns: "
+        f"repair the row, or set delimiter= ({layout.delimiter!r} now)."
+    )
+
+
+def _stripped(text: Bytes, starts: Places, ends: Places) -> tuple[Places, Places]:
+    """Cells without blanks at either end."""
+    blank = np.zeros(256, dtype=np.bool_)
+    blank[[9, 11, 12, 32]] = True
+    for _ in range(WIDEST):
+        more = blank[text[np.minimum(starts, len(text) - 1)]] & (starts < ends)
+        if not more.any():
+            break
+        starts = starts + more
+    for _ in range(WIDEST):
+        more = blank[text[ends - 1]] & (starts < ends)
+        if not more.any():
+            break
+        ends = ends - more
+    return starts, ends
+
+
+# ---- from cells to numbers ---------------------------------------------------------------------
+
+
+def _parsed(
+    cells: Cells,
+    values: Array,
+    decimal: str,
+    lost: frozenset[str],
+    number: Callable[[str], float] | None,
+) -> NDArray[np.bool_]:
+    """Fill `values` with the numbers of `cells`; returns where there is none and none is lost."""
+    spelled = cells.spelled()
+    if decimal == ",":
+        spelled[spelled == ord(",")] = ord(".")
+    wrong = np.zeros(len(cells), dtype=np.bool_)
+    if "" in lost:
+        spelled[cells.widths == 0, :3] = (ord("n"), ord("a"), ord("n"))
+    try:
+        if (spelled == ord("_")).any() or (cells.widths > WIDEST).any():
+            raise ValueError("underscores are no part of numbers")
+        values[:] = spelled.view(f"S{spelled.shape[1]}")[:, 0].astype(np.float64)
+        doubtful = np.flatnonzero(np.isnan(values))
+        if "nan" in lost and number is None:
+            return wrong
+    except ValueError:
+        doubtful = np.arange(len(cells))
+    known: dict[str, tuple[float, bool]] = {}
+    for k in doubtful.tolist():
+        cell = cells[k]
+        if cell not in known:
+            known[cell] = _one(cell, decimal, lost, number)
+        values[k], wrong[k] = known[cell]
+    return wrong
+
+
+def _one(
+    cell: str, decimal: str, lost: frozenset[str], number: Callable[[str], float] | None
+) -> tuple[float, bool]:
+    """A cell as a number, and whether it is none although it is not lost."""
+    if cell.lower() in lost:
+        return math.nan, False
+    value = _number(cell.replace(",", ".") if decimal == "," else cell)
+    if math.isnan(value) and number is not None:
+        value = number(cell)
+    return value, math.isnan(value)
 
 
 def _number(cell: str) -> float:
     """`cell` as a float, NaN if it is none ("1_000" is one to Python, but not in a log)."""
     try:
-        return math.nan if "_" in cell else float(cell)
+        return math.nan if "_" in cell or len(cell) > WIDEST else float(cell)
     except ValueError:
         return math.nan
+
+
+def _shown(cell: Any) -> str:
+    text = repr(cell)
+    return text if len(text) <= 60 else f"{text[:50]}... ({len(cell)} characters)"

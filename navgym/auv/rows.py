@@ -1,0 +1,260 @@
+"""Rows of a log: in the order of their times, one for each, repeated values found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navgym.core.checks import Array
+from navgym.core.notes import Notes
+
+Flags = NDArray[np.bool_]
+
+FEW = 5  # late rows one after the other: from here a clock was set back, below a row came late
+COARSE = 1.5, 20  # rows per time, and conflicts: from here stamps are too coarse
+LONGEST_GAP = 30 * 86_400.0  # s: no voyage pauses longer, so the clock was set
+LONG_GAP = 3_600.0, 1_000.0  # s and usual steps: from here a gap is worth a word
+HELD_SHARE = 0.05  # of received values: fewer repeats do no harm
+HELD_CHANGES = 3  # how often a value must change before repeats say anything
+FINE, FAIR = 10.0, 3.0  # quanta by which values change; see `is_held`
+SENTINELS = (-9999.0, -999.0, -99999.0, -999999.0, 9999.0, 99999.0, 999999.0, -32768.0, 32767.0)
+FAR = 10.0, 100.0  # extents of the other values, and units, between a sentinel and them
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Rows of a log.
+
+    Args:
+        time: (T,) s.
+        lines: (T,) of the file.
+        y: (T, m) measurements, NaN where lost.
+        sigma: (T, m) the receiver's own standard deviations, NaN where it tells none.
+        truth: (T, n) or None.
+        labels: (T,) further columns, by name.
+    """
+
+    time: Array
+    lines: NDArray[np.int64]
+    y: Array
+    sigma: Array
+    truth: Array | None
+    labels: Mapping[str, Array]
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def take(self, index: NDArray[np.int64]) -> Rows:
+        """Rows `index`."""
+        return Rows(
+            self.time[index], self.lines[index], self.y[index], self.sigma[index],
+            None if self.truth is None else self.truth[index],
+            {name: values[index] for name, values in self.labels.items()},
+        )  # fmt: skip
+
+
+def order(
+    time: Array, lines: NDArray[np.int64], sort: bool | None, notes: Notes
+) -> NDArray[np.int64]:
+    """Index that sorts rows by time, those of one time as they stand in the file.
+
+    Args:
+        time: (T,) s, as in the file.
+        lines: (T,) of the file.
+        sort: see `navgym.auv.csv_log.read_csv`.
+        notes: told of what was sorted.
+
+    Raises ValueError, naming the line, where a clock was set, unless `sort` is True.
+    """
+    steps = np.diff(time)
+    falls = np.flatnonzero(steps < 0.0)
+    index = np.argsort(time, kind="stable")
+    if len(falls) and sort is not True:
+        k = int(falls[np.argmin(steps[falls])]) + 1
+        back = f"the time goes back by {-steps[k - 1]:.6g} s"
+        late = int((time < np.maximum.accumulate(time)).sum())
+        if sort is False or (late >= FEW and late >= 3 * len(falls)):
+            raise ValueError(
+                f"{notes.file}, line {lines[k]}, column 'time': {back}, as where a clock is set or "
+                "another voyage begins: cut the file there, or pass sort=True, which sorts all rows "
+                "by their times."
+            )
+    if len(falls):
+        worst = -float(steps[falls].min())
+        rows = f"rows sorted by time ({len(falls)} times one came late, by up to {worst:.6g} s)"
+        (notes.doubt if worst > 60.0 else notes.say)(rows)
+    _check_gaps(time[index], lines[index], sort, notes)
+    return index
+
+
+def _check_gaps(time: Array, lines: NDArray[np.int64], sort: bool | None, notes: Notes) -> None:
+    steps = np.diff(time)
+    if not (steps > 0.0).any():
+        return
+    usual, k = float(np.median(steps[steps > 0.0])), int(np.argmax(steps))
+    gap = float(steps[k])
+    if gap > LONGEST_GAP and gap > LONG_GAP[1] * usual and sort is not True:
+        raise ValueError(
+            f"{notes.file}, line {lines[k + 1]}, column 'time': {gap:.6g} s ({gap / 86_400:.0f} "
+            "days) after the row before, as where a clock is set: cut the file there, or pass "
+            "sort=True to keep the gap."
+        )
+    if gap > LONG_GAP[0] and gap > LONG_GAP[1] * usual:
+        notes.doubt(
+            f"a gap of {gap / 3600:.3g} h before line {lines[k + 1]}: if a clock was set there, cut "
+            "the file"
+        )
+
+
+# ---- values that stand for none ------------------------------------------------------------------
+
+
+def sentinel(values: Array) -> float | None:
+    """The number that stands for a lost value in `values` (T,): a usual one, far from all others."""
+    there = values[~np.isnan(values)]
+    ends = {float(there.min()), float(there.max())} if len(there) else set()
+    for mark in ends.intersection(SENTINELS):
+        others = there[(there != mark) & ~np.isin(there, SENTINELS)]
+        if len(others) < len(there) and len(others) > 1:
+            low, high = float(others.min()), float(others.max())
+            away = max(low - mark, mark - high)
+            if away > max(FAR[0] * (high - low), FAR[1]):
+                return mark
+    return None
+
+
+def repeats(values: Array) -> Flags:
+    """Where the values of a sensor, (T, k), are those that were received last, bit for bit."""
+    found = np.zeros(len(values), np.bool_)
+    there = ~np.isnan(values).any(axis=1)
+    y = values if there.all() else values[there]
+    same = np.ones(max(len(y) - 1, 0), np.bool_)
+    for column in y.T:
+        same &= column[1:] == column[:-1]
+    found[np.flatnonzero(there)[1:]] = same
+    return found
+
+
+def is_held(values: Array, repeated: Flags, quanta: Sequence[float]) -> bool | None:
+    """Whether repeats of a sensor's values are a receiver's, which holds its last one.
+
+    A receiver that measures anew repeats itself in all digits only where its noise and its motion
+    are of the size of the last digit. So repeats are held values where, when the values change, one
+    of them does so by ten units of its last digit or more; by three or more, if hardly any value
+    stands once only. They are not where changes are smaller: a vehicle at rest, coarsely rounded.
+
+    Args:
+        values: (T, k), NaN where lost.
+        repeated: what `repeats` found.
+        quanta: the last digit's unit of each column.
+
+    Returns:
+        None if it is open: enough repeats to matter, but fine digits do not decide.
+    """
+    there = ~np.isnan(values).any(axis=1)
+    if not there.any() or repeated[there].mean() < HELD_SHARE:
+        return False
+    fresh = there & ~repeated
+    changes = np.abs(np.diff(values[fresh], axis=0))
+    if len(changes) < HELD_CHANGES:
+        return False
+    sizes = [np.median(c[c > 0.0]) if (c > 0.0).any() else 0.0 for c in changes.T]
+    size = max(s / q for s, q in zip(sizes, quanta, strict=True))
+    runs = np.diff(np.flatnonzero(fresh[there]))
+    if size >= FINE or (size >= FAIR and np.mean(runs > 1) > 0.9):
+        return True
+    return None if np.mean(runs > 1) > 0.9 else False
+
+
+# ---- one row for each time -----------------------------------------------------------------------
+
+
+def delayed(rows: Rows, late: Array) -> Rows:
+    """Rows with column j of y at its time less `late[j]` s; rows of other columns have none of it.
+
+    Truth is interpolated, and rows before its first or after its last are left out.
+    """
+    parts = []
+    for lag in np.unique(late):
+        y = np.where(late == lag, rows.y, np.nan)
+        full = ~np.isnan(y).all(axis=1)
+        if lag == late.min():
+            full[:] = True  # rows without any measurement stay, once
+        sigma = np.where(late == lag, rows.sigma, np.nan)
+        index = np.flatnonzero(full)
+        moved = replace(rows, time=np.round(rows.time - lag, 9), y=y, sigma=sigma)
+        parts.append(moved.take(index))
+    joined = Rows(
+        *(np.concatenate([getattr(p, n) for p in parts]) for n in ("time", "lines", "y", "sigma")),
+        truth=None if rows.truth is None else np.concatenate([p.truth for p in parts]),
+        labels={n: np.concatenate([p.labels[n] for p in parts]) for n in rows.labels},
+    )
+    joined = joined.take(np.argsort(joined.time, kind="stable"))
+    if rows.truth is None:
+        return joined
+    inside = (joined.time >= rows.time[0]) & (joined.time <= rows.time[-1])
+    joined = joined.take(np.flatnonzero(inside))
+    truth = [np.interp(joined.time, rows.time, column) for column in rows.truth.T]
+    return replace(joined, truth=np.stack(truth, axis=-1))
+
+
+def merged(rows: Rows, notes: Notes) -> Rows:
+    """One row for each time: what its rows hold together; where they differ, the mean.
+
+    Raises ValueError, naming lines, where truths differ, or so many values that stamps are coarse.
+    """
+    first = np.flatnonzero(np.diff(rows.time, prepend=-np.inf) > 0.0)
+    if len(first) == len(rows):
+        return rows
+    counts = np.diff(np.append(first, len(rows)))
+    y, several, differ = _joined(rows.y, first)
+    sigma, *_ = _joined(rows.sigma, first)
+    if rows.truth is not None:
+        truth = rows.truth[first]
+        wrong = (np.repeat(truth, counts, axis=0) != rows.truth).any(axis=1)
+        if wrong.any():
+            line = rows.lines[int(np.argmax(wrong))]
+            raise ValueError(
+                f"{notes.file}, line {line}: another truth at the time of a row before."
+            )
+    clash = differ.any(axis=1)
+    _tell(rows, first, counts, several.any(axis=1), clash, notes)
+    return replace(rows.take(first), y=y, sigma=sigma)
+
+
+def _tell(
+    rows: Rows, first: NDArray[np.int64], counts: NDArray[np.int64], several: Flags, clash: Flags,
+    notes: Notes,
+) -> None:  # fmt: skip
+    shared = counts > 1
+    if clash.any():
+        k = int(np.argmax(clash))
+        where = f"lines {rows.lines[first[k]]} and {rows.lines[first[k] + counts[k] - 1]}"
+        if len(rows) > COARSE[0] * len(first) and clash.sum() > COARSE[1]:
+            raise ValueError(
+                f"{notes.file}, {where}: {clash.sum()} times stand in several rows with different "
+                "values: name a column with finer times as columns={'time': ...}."
+            )
+        notes.doubt(f"{clash.sum()} times stand in rows with different values, first {where}: "
+                    "their means are taken")  # fmt: skip
+    same = int((shared & several & ~clash).sum())
+    if same:
+        notes.say(f"{same} times stand in rows that repeat each other: one of them is kept")
+    parts = int((shared & ~several).sum())
+    if parts:
+        notes.say(f"{parts} times stand in several rows with different columns: merged")
+
+
+def _joined(values: Array, first: NDArray[np.int64]) -> tuple[Array, Flags, Flags]:
+    """Means over groups of rows of what is not NaN, where several are, and where those differ."""
+    there = ~np.isnan(values)
+    count = np.add.reduceat(there.astype(np.int64), first, axis=0)
+    low = np.minimum.reduceat(np.where(there, values, np.inf), first, axis=0)
+    high = np.maximum.reduceat(np.where(there, values, -np.inf), first, axis=0)
+    total = np.add.reduceat(np.where(there, values, 0.0), first, axis=0)
+    differ = (count > 1) & (low != high)
+    mean = np.where(differ, total / np.maximum(count, 1), low)
+    return np.where(count > 0, mean, np.nan), count > 1, differ
