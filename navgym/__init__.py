@@ -1,8 +1,8 @@
 """navgym: Gymnasium environments and tuning tools for adaptive navigation filters.
 
 Names load on first use, so `import navgym` stays quick: `simulate`, `scenarios`, `seeds`, `read`,
-`estimate`, `filters`, `parameter_space`, and the data classes `Recording`, `LinearModel`,
-`CoordinatedTurnModel`, `Estimate`, `Parameter`, `ParameterSpace`; for two IMUs on a deck
+`geographic`, `estimate`, `filters`, `parameter_space`, and the data classes `Recording`,
+`LinearModel`, `CoordinatedTurnModel`, `Estimate`, `Parameter`, `ParameterSpace`; for two IMUs on a deck
 `DualIMURecording`, `DeckModel`, `FlexureModel`, `DeckEstimate`, `flexure_increments`, `identify`.
 Importing the package registers its environments.
 """
@@ -12,6 +12,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from navgym.core import interrupts  # noqa: F401 - first: what follows takes a moment to load
 from navgym.problem import register_environments
 
 __version__ = "0.1.0"
@@ -30,6 +31,7 @@ _HOME = {
     "estimate": "navgym.estimation",
     "filters": "navgym.estimation",
     "flexure_increments": "navgym.deck.estimation",
+    "geographic": "navgym.auv.geodesy",
     "identify": "navgym.identification",
     "parameter_space": "navgym.estimation",
     "read": "navgym.readers",
@@ -53,6 +55,7 @@ __all__ = [
     "estimate",
     "filters",
     "flexure_increments",
+    "geographic",
     "identify",
     "parameter_space",
     "read",
@@ -62,6 +65,7 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
+    from navgym.auv.geodesy import geographic
     from navgym.core.parameters import Parameter, ParameterSpace
     from navgym.core.seeds import seeds
     from navgym.deck.estimation import DeckEstimate, flexure_increments

@@ -17,10 +17,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import metadata
 
+from navgym.core import streams
 from navgym.core.checks import one_of
+from navgym.core.interrupts import STOPPED
 
-STOPPED = 130  # exit status after Ctrl-C, as shells have it
 WRONG = 2  # exit status for input that cannot be
+UNREAD = 141  # exit status where nobody reads the output any more, as shells have it
 
 _STUDY = "stopped: finished trials are kept, the same command goes on from there"
 _TRAINING = "stopped: the same command, without --fresh, goes on from the last checkpoint"
@@ -91,9 +93,21 @@ def main(words: Sequence[str] | None = None) -> int:
     Args:
         words: the command and what follows it; those of this process by default.
 
-    Returns the exit status: the command's own, 2 for input that cannot be, 130 after Ctrl-C.
+    Returns the exit status: the command's own, 2 for input that cannot be and for output that cannot
+    be written, 130 after Ctrl-C, 141 where nobody reads the output any more.
     """
-    given = list(sys.argv[1:] if words is None else words)
+    streams.prepare()
+    try:
+        status = _begin(list(sys.argv[1:] if words is None else words))
+    except (SystemExit, OSError):  # of a parser of words, after it has said why; of print
+        if lost := streams.lost():
+            return _unwritten(lost)
+        raise
+    lost = streams.lost()
+    return status if lost is None else _unwritten(lost)
+
+
+def _begin(given: Sequence[str]) -> int:
     if not given or given[0] in ("-h", "--help"):
         print(listing())
         return 0
@@ -128,8 +142,13 @@ def _run(command: Command, words: Sequence[str]) -> int:
         status: int = getattr(importlib.import_module(module), function)(words)
     except ImportError as error:
         return _wrong(_remedy(error, command))
-    except (ValueError, OSError) as error:
+    except OSError as error:
+        lost = streams.lost()  # then it is what this is about
+        return _wrong(_plain(error)) if lost is None else _unwritten(lost)
+    except ValueError as error:
         return _wrong(error)
+    except MemoryError:
+        return _wrong("there is not enough memory for this: take less data at a time.")
     except KeyboardInterrupt:
         if command.stopped:
             print(f"\n{command.stopped}", file=sys.stderr)
@@ -140,6 +159,20 @@ def _run(command: Command, words: Sequence[str]) -> int:
 def _wrong(what: object) -> int:
     print(f"error: {what}", file=sys.stderr)
     return WRONG
+
+
+def _plain(error: OSError) -> str:
+    """An error of the system without its number, the file first."""
+    if error.errno is None or error.strerror is None:
+        return str(error)
+    return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+
+
+def _unwritten(error: OSError) -> int:
+    """The exit status where standard output cannot be written, having said so if that may help."""
+    if isinstance(error, BrokenPipeError):
+        return UNREAD
+    return _wrong(f"standard output cannot be written ({error.strerror}).")
 
 
 def _remedy(error: ImportError, command: Command) -> str:

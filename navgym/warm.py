@@ -7,13 +7,16 @@ they are first used, which takes some seconds per filter.
 from __future__ import annotations
 
 import argparse
+import multiprocessing
+import signal
 import sys
 import time
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, as_completed
 from typing import Any
 
 import navgym
+from navgym.core import kernel_cache
 from navgym.core.checks import one_of
 from navgym.core.machine import cores
 from navgym.problem import PROBLEMS, Problem, problem_of
@@ -34,11 +37,11 @@ def jobs(names: Iterable[str]) -> list[tuple[str, int]]:
     return sorted(each, key=lambda job: job[1])
 
 
-def compile_one(problem: str, number: int) -> str:
-    """Run one job; returns what it was."""
+def compile_one(problem: str, number: int) -> tuple[str, dict[str, str]]:
+    """Run one job; returns what it was, and what kept its compiled code from being kept."""
     what, run = PROBLEMS[problem].kernels()[number]
     run()
-    return what
+    return what, kernel_cache.troubles()
 
 
 def play(scenario: str, **overrides: Any) -> None:
@@ -91,18 +94,47 @@ def main(words: Sequence[str] = ()) -> int:
     began = time.perf_counter()
     names = parse(words)
     todo = jobs(names)
-    with ProcessPoolExecutor(min(len(todo), cores())) as pool:
-        running = [pool.submit(compile_one, *job) for job in todo]
-        for done, job in enumerate(as_completed(running), start=1):
-            if sys.stderr.isatty():
-                text = f"compiling kernels, {done} of {len(todo)}: {job.result()}"
-                sys.stderr.write(f"\r\x1b[K{text}")
-            job.result()
-    if sys.stderr.isatty():
-        sys.stderr.write("\r\x1b[K")
+    try:
+        kept = _all(todo)
+    except BrokenExecutor as error:
+        raise OSError(
+            "a process that compiled was killed or ran out of memory: give the same command again."
+        ) from error
+    finally:
+        if sys.stderr.isatty():
+            sys.stderr.write("\r\x1b[K")
     spent = time.perf_counter() - began
-    print(f"navgym {navgym.__version__}: kernels of {', '.join(names)} ready after {spent:.1f} s")
+    state = "ready" if kept else "compiled, but could not be kept,"
+    print(f"navgym {navgym.__version__}: kernels of {', '.join(names)} {state} after {spent:.1f} s")
     return 0
+
+
+def _all(todo: Sequence[tuple[str, int]]) -> bool:
+    """Do the jobs in processes, showing how far they are; returns whether compiled code was kept."""
+    kept = True
+    with ProcessPoolExecutor(min(len(todo), cores()), initializer=_leave_interrupts) as pool:
+        running = [pool.submit(compile_one, *job) for job in todo]
+        try:
+            for done, job in enumerate(as_completed(running), start=1):
+                what, troubles = job.result()
+                if sys.stderr.isatty():
+                    text = f"compiling kernels, {done} of {len(todo)}: {what}"
+                    sys.stderr.write(f"\r\x1b[K{text}")
+                    sys.stderr.flush()
+                kept = kept and kernel_cache.UNKEPT not in troubles
+                for kind, text in troubles.items():
+                    kernel_cache.say(kind, text)
+        except KeyboardInterrupt:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in multiprocessing.active_children():
+                process.terminate()
+            raise
+    return kept
+
+
+def _leave_interrupts() -> None:
+    """Ctrl-C is the parent's: a worker would only show where it was."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 if __name__ == "__main__":

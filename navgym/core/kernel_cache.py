@@ -35,20 +35,23 @@ COMPILING = (
     "(navgym warm compiles all now)"
 )
 
+UNKEPT = "unkept"  # kind of a line: compiled code could not be kept
 _WRITABLE = stat.S_IWGRP | stat.S_IWOTH
-_said: set[str] = set()
+_said: dict[str, str] = {}
 _saving = threading.Lock()
 
 
 def say(kind: str, text: str) -> None:
     """A line on standard error, one of a kind in a process, unless `NAVGYM_QUIET` is set.
 
-    Workers leave it to their parent.
+    Workers leave it to their parent, see `troubles`.
     """
     quiet = os.environ.get(QUIET, "") not in ("", "0")
-    if kind in _said or quiet or multiprocessing.parent_process() is not None:
+    if kind in _said:
         return
-    _said.add(kind)
+    _said[kind] = text
+    if quiet or multiprocessing.parent_process() is not None:
+        return
     stream = sys.stderr
     with contextlib.suppress(OSError, ValueError):  # a stream that is full or closed
         if stream is not None and stream is sys.__stderr__:
@@ -56,6 +59,11 @@ def say(kind: str, text: str) -> None:
             os.write(stream.fileno(), f"navgym: {text}\n".encode("ascii", "backslashreplace"))
         elif stream is not None:
             stream.write(f"navgym: {text}\n")
+
+
+def troubles() -> dict[str, str]:
+    """By kind, what there was to say in this process but that kernels are compiled."""
+    return {kind: text for kind, text in _said.items() if kind != "compiling"}
 
 
 # ---- whose folder -------------------------------------------------------------------------------
@@ -193,7 +201,7 @@ class KernelCache(caching.FunctionCache):
         except Exception as error:  # a damaged pickle may raise anything
             self._forget()  # the index may name a file that was not written
             say(
-                "unkept",
+                UNKEPT,
                 f"compiled code cannot be kept in {self.cache_path} ({_why(error)}): going on "
                 f"without, it compiles again next time. Make room, or {REMEDY}",
             )
@@ -234,7 +242,7 @@ class NoCache(caching.NullCache):
         """Nothing, which is said."""
         _say_passed_over()
         say(
-            "unkept",
+            UNKEPT,
             f"compiled kernels cannot be kept ({self.reason}): they compile anew in each process, up "
             f"to 10 s or so per filter. Better {REMEDY}",
         )
