@@ -35,7 +35,11 @@ NO_NUMBERS = {
 
 
 def real_array(field: str, value: ArrayLike, finite: bool = True) -> Array:
-    """`value` as a new float64 array; ValueError if it is not numeric or (by default) not finite."""
+    """`value` as a new float64 array; ValueError if it is not numeric or (by default) not finite.
+
+    What numpy masks, or pandas calls NA, is NaN where that is allowed, and refused elsewhere.
+    """
+    value = _unmasked(field, value, finite)
     try:
         given = np.array(value)
     except ValueError:
@@ -63,6 +67,25 @@ def real_array(field: str, value: ArrayLike, finite: bool = True) -> Array:
             f"{field} must be finite, got {array[where]} at index {where}: remove or repair it."
         )
     return array
+
+
+def _unmasked(field: str, value: Any, finite: bool) -> Any:
+    """`value` with NaN where a numpy mask, or pandas' NA, says that there is none."""
+    if isinstance(value, (list, tuple)) and any(isinstance(v, np.ma.MaskedArray) for v in value):
+        value = np.ma.array(value)
+    if hasattr(value, "isna") and hasattr(value, "to_numpy"):  # a Series or a DataFrame
+        try:
+            value = value.to_numpy(dtype=np.float64, na_value=np.nan)
+        except (TypeError, ValueError):  # of text, or the like, which is told below
+            return value
+    if not np.ma.is_masked(value):
+        return value
+    if finite:
+        raise ValueError(
+            f"{field} must hold a number everywhere, but {np.ma.count_masked(value)} of its entries "
+            "are masked: fill them in, for example with .filled(...)."
+        )
+    return value.astype(np.float64).filled(np.nan) if value.dtype.kind in "biuf" else value
 
 
 def short(value: object) -> str:

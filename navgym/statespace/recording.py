@@ -29,7 +29,7 @@ class Recording(Frozen):
 
     Args:
         time: (T,) s, strictly increasing.
-        measurements: (T, m); NaN counts as lost.
+        measurements: (T, m); NaN counts as lost, and so does what numpy masks or pandas calls NA.
         lost: (T, m) or (T,) bool, True where nothing was received; None: only where NaN.
         truth: (T, n) true states, or None.
         regime: (T,) whole-number labels of the true regime, for analysis only, or None.
@@ -146,6 +146,8 @@ def _checked_time(value: Any) -> Array:
 def _checked_lost(value: Any, y: Array) -> NDArray[np.bool_]:
     if value is None:
         return np.isnan(y)
+    if np.ma.is_masked(value):
+        raise ValueError("lost is masked itself: fill it in, for example with .filled(True).")
     lost = np.array(value)
     if lost.dtype != np.bool_ and not np.isin(lost, (0, 1)).all():
         raise ValueError(

@@ -132,3 +132,34 @@ def test_names_are_taken_as_they_are_or_refused_with_the_nearest():
         one_of("fruit", "Sea_State", ("sea-state", "calm"))
     with pytest.raises(ValueError, match=r"unknown fruit 3\. Known: pear, plum\."):
         one_of("fruit", 3, ("plum", "pear"))
+
+
+MASKED = np.ma.masked_array([[1.0, 2.0], [3.0, 1e6]], mask=[[0, 0], [0, 1]])
+
+
+@pytest.mark.parametrize("given", [MASKED, list(MASKED), MASKED.astype(int)])
+def test_what_is_masked_is_nothing_where_nothing_is_allowed_and_refused_elsewhere(given):
+    found = real_array("thing", given, finite=False)
+    np.testing.assert_array_equal(found, [[1.0, 2.0], [3.0, np.nan]])
+    assert not np.ma.isMaskedArray(found)
+    with pytest.raises(ValueError, match=r"thing .* but 1 of its entries are masked"):
+        real_array("thing", given)
+
+
+def test_a_mask_that_hides_nothing_is_no_mask():
+    given = np.ma.masked_array([1.0, 2.0], mask=False)
+    assert real_array("thing", given).tolist() == [1.0, 2.0]
+
+
+def test_what_pandas_calls_na_is_nothing():
+    pandas = pytest.importorskip("pandas")
+    for kind in ("Float64", "Int64"):
+        column = pandas.Series([1, None, 3], dtype=kind)
+        found = real_array("thing", column, finite=False)
+        np.testing.assert_array_equal(found, [1.0, np.nan, 3.0])
+        with pytest.raises(ValueError, match="thing must be finite, got nan at index"):
+            real_array("thing", column)
+    table = pandas.DataFrame({"px": [1.0, 2.0], "py": [3, None]})
+    np.testing.assert_array_equal(real_array("thing", table, finite=False), [[1, 3], [2, np.nan]])
+    with pytest.raises(ValueError, match="thing must be an array of numbers"):
+        real_array("thing", pandas.Series(["a", "b"]))
