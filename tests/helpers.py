@@ -37,6 +37,11 @@ class Problem:
     def recording(self):
         return navgym.Recording(self.time, self.y, self.lost, model=self.model)
 
+    @property
+    def parts(self):
+        """Model, time, measurements and losses, as every twin takes them."""
+        return self.model, self.time, self.y, self.lost
+
     def alter(self, lost=None, time=None, y=None, **model):
         names = ("F", "H", "Q", "R", "x0", "P0")
         parts = {name: getattr(self.model, name) for name in names} | model
@@ -126,7 +131,7 @@ def run_bank(recording, modes, axes, parameters=(1.0, 1.0, 0.995, 0.985, 0.2)):
     found["weights"] = np.empty((1, len(recording), *modes.shape))
     bank.run(
         lanes, batch.models, bank.half(batch.models) if axes == 2 else batch.models, batch.y,
-        batch.lost, np.array(parameters, dtype=float)[None, None], 5, modes.table(),
+        batch.lost, batch.time, np.array(parameters, dtype=float)[None, None], 5, modes.table(),
         modes.shares(), modes.near, modes.loss_table(), *found.values(),
     )  # fmt: skip
     return {name: array[0] for name, array in found.items()} | {"lane": lanes[0]}

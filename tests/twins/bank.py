@@ -2,7 +2,9 @@
 
 Blom & Bar-Shalom 1988: mix, predict, update, combine. Modes multiply Q and R; a mode with outliers
 updates twice, under R and 100 R, and is collapsed to the moments of the two. Where the modes say how
-their regimes lose samples, losing one or not is a likelihood like any other.
+their regimes lose samples, losing one or not is a likelihood like any other, and every row is a step.
+Otherwise a step leads from one received sample to the next, by all the motion in between, and a row
+without a measurement is where a step from the last received sample would lead.
 """
 
 import math
@@ -41,9 +43,15 @@ def listed(modes):
     ]
 
 
+def aged(seconds):
+    """Time by which the chains move: once a second has passed without a sample, a fifth of it."""
+    return min(seconds, 1.0) + LOST_LEAK * max(seconds - 1.0, 0.0)
+
+
 def bank(
-    model, y, lost, modes, q=1.0, r=1.0, scale_stay=0.995, regime_stay=0.985, rate=0.2, axes=1
-):
+    model, time, y, lost, modes, q=1.0, r=1.0, scale_stay=0.995, regime_stay=0.985, rate=0.2,
+    axes=1,
+):  # fmt: skip
     """The bank; with axes = 2 each mode keeps one covariance for both halves of the state.
 
     A mode is a list of means, one per axis, and one covariance C of a single axis. Where textbooks
@@ -56,17 +64,20 @@ def bank(
     C = np.tile(model.P0[:n, :n], (J, 1, 1))
     log, weights = Log(), []
     history, rate_of_loss = [False], Rate()
-    for k in range(len(y)):
-        F, H, Q, R = (at(M, k) for M in (model.F, model.H, model.Q, model.R))
+    before, since = (weight, means, C), time[0] - 1.0  # as the last step's start left the modes
+    F, Q = np.eye(model.n), np.zeros((model.n, model.n))  # of the motion since then
+    for k, t in enumerate(time):
+        H, R = at(model.H, k), at(model.R, k)
+        F, Q = at(model.F, k) @ F, at(model.F, k) @ Q @ at(model.F, k).T + q * at(model.Q, k)
         f, g = F[:n, :n], Q[:n, :n]
         s = model.m // axes
         h, noise = H[:s, :n], R[:s, :s]
         got, here = ~lost[k], ~lost[k, :s]
-        fade = 1.0 if got.any() else LOST_LEAK
-        x, P = combined(weight, means, C)
+        x, P = combined(*before)
 
-        T = transition(modes, 1 - fade * (1 - scale_stay), 1 - fade * (1 - regime_stay))
-        weight, means, C = mixed(T, weight, means, C)
+        age = aged(t - since)
+        T = transition(modes, scale_stay**age, regime_stay**age)
+        weight, means, C = mixed(T, *before)
         if modes.losses:
             chances = rate_of_loss.chances(modes.losses, history[-1], not got.any())
             weight = weight * np.tile(chances, len(modes.scales))
@@ -74,12 +85,12 @@ def bank(
             rate_of_loss.learn(modes.losses, weight.reshape(modes.shape), not got.any())
             history.append(not got.any())
         means = means @ f.T
-        C = np.array([f @ c @ f.T + q * mode[1] * g for c, mode in zip(C, table, strict=True)])
+        C = np.array([f @ c @ f.T + mode[1] * g for c, mode in zip(C, table, strict=True)])
 
         mean_q = sum(w * mode[1] for w, mode in zip(weight, table, strict=True))
         outlying = [1 + mode[2] * rate * (OUTLIER_SCALE - 1) for mode in table]
         mean_r = sum(w * mode[0] * o for w, mode, o in zip(weight, table, outlying, strict=True))
-        P_prior = F @ P @ F.T + q * mean_q * Q
+        P_prior = F @ P @ F.T + mean_q * Q
         innovation, nis, likelihood = judge(F @ x, P_prior, y[k], H, r * mean_r * R, got)
 
         if got.any():
@@ -102,8 +113,10 @@ def bank(
                 )
             likelihood = logsumexp(np.log(weight) + evidence)
             weight = np.exp(np.log(weight) + evidence - likelihood)
-        x, P = combined(weight, means, C)
-        log.add(x, P, innovation, nis, likelihood)
+        if got.any() or modes.losses:
+            before, since = (weight, means, C), t
+            F, Q = np.eye(model.n), np.zeros((model.n, model.n))
+        log.add(*combined(weight, means, C), innovation, nis, likelihood)
         weights.append(weight.reshape(modes.shape))
     return log.arrays() | {"weights": np.stack(weights)}
 

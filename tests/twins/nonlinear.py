@@ -172,15 +172,16 @@ def cubature(s, x, P, z, used, q, r, sign=-1.0):
 def run(name: str, recording: Recording, q=1.0, r=1.0, a=0.775, **variant) -> list[Step]:
     """One filter over a recording: "ekf", "ukf", "ckf" or "cukf"."""
     x, P = recording.model.x0, recording.model.P0
-    steps = []
+    steps, taken = [], 0
     for k, (z, lost) in enumerate(zip(recording.measurements, recording.lost, strict=True)):
         s = system(recording.model, k)
         if name == "ekf":
             step = extended(s, x, P, z, ~lost, q, r)
-        elif name == "ukf" or (name == "cukf" and k % 2 == 0):
+        elif name == "ukf" or (name == "cukf" and taken % 2 == 0):
             step = unscented(s, x, P, z, ~lost, q, r, a, **variant)
         else:
             step = cubature(s, x, P, z, ~lost, q, r, **variant)
         x, P = step.x, step.P
+        taken += not lost.all()
         steps.append(step)
     return steps
