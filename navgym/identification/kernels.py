@@ -14,8 +14,10 @@ from navgym.core.compile import kernel, part
 LEAST_GAIN = 1e-3  # nats; a function that adds less evidence is not worth a place
 COLLINEAR = 1e-9  # share of a function outside the span of the relevant ones, below which it waits
 ROUNDING = 1e-14  # least pivot, as a share of the diagonal
+LEAST = 1e-12  # α/β: with less, Σ⁻¹ = βΦᵀΦ + A is singular to rounding where functions are alike
 SPREAD = 1e-2  # α of the functions that are there from the start, in units of max |y|
 PRUNE = 1e2  # α/β above which a function leaves the first phase
+PATIENCE = 300  # steps without LEAST_GAIN in all after which the evidence is flat to rounding
 SETTLED, TOGETHER = 0.3, 40  # |Δ log α| and number of steps that end the first phase
 
 
@@ -98,18 +100,18 @@ def best_addition(beta, slot, S, Q):
 
 
 @part
-def best_change(m, alpha, mean, variance):
+def best_change(m, alpha, mean, variance, least):
     """The relevant function to re-estimate or delete: (gain, its place, new α, largest |Δ log α|).
 
     s and q, what S and Q are without the function, follow from its own posterior: its precision is
-    1/Σᵢᵢ = αᵢ + s, and its mean q Σᵢᵢ. A new α of infinity deletes it.
+    1/Σᵢᵢ = αᵢ + s, and its mean q Σᵢᵢ. A new α is `least` at least; one of infinity deletes it.
     """
     gain, best, chosen, largest = -np.inf, -1, 0.0, 0.0
     for i in range(m):
         s = 1.0 / variance[i] - alpha[i]
         q = mean[i] / variance[i]
         if q * q > s > 0.0:
-            new = s * s / (q * q - s)
+            new = max(s * s / (q * q - s), least)
             ratio = new / alpha[i]
             difference = 1.0 / new - 1.0 / alpha[i]
             S, Q = alpha[i] * s * variance[i], alpha[i] * mean[i]
@@ -126,13 +128,12 @@ def best_change(m, alpha, mean, variance):
 
 
 @part
-def log_evidence(m, alpha, beta, L, mean, error):
-    """Log p(y | α, β), given the squared `error` of the posterior mean; y has N components."""
-    N = len(error)
-    total = N * np.log(beta / (2.0 * np.pi))
+def log_evidence(m, alpha, beta, free, L, mean, error):
+    """Log p(y | α, β), given the `error` of the posterior mean; y has `free` degrees of freedom."""
+    total = free * np.log(beta / (2.0 * np.pi))
     for i in range(m):
         total += np.log(alpha[i]) - 2.0 * np.log(L[i, i]) - alpha[i] * mean[i] ** 2
-    for k in range(N):
+    for k in range(len(error)):
         total -= beta * error[k] ** 2
     return 0.5 * total
 
@@ -159,12 +160,12 @@ def drop(place, m, active, alpha, slot, G):
 
 
 @part
-def noise_precision(m, alpha, variance, error, most):
-    """β of the noise by IDAM eq. 32, with γᵢ = 1 − αᵢΣᵢᵢ."""
-    free = float(len(error) - m)
+def noise_precision(m, alpha, variance, free, error, most):
+    """β of the noise by IDAM eq. 32, with γᵢ = 1 − αᵢΣᵢᵢ and N the `free` degrees of freedom."""
+    left = float(free - m)
     for i in range(m):
-        free += alpha[i] * variance[i]
-    return min(most, max(free, 1e-3) / max(np.sum(error**2), 1e-300))
+        left += alpha[i] * variance[i]
+    return min(most, max(left, 1e-3) / max(np.sum(error**2), 1e-300))
 
 
 @part
@@ -177,7 +178,7 @@ def project(D, b, product):
 
 
 @kernel
-def fast_marginal_likelihood(B, D, y, first, beta, learn, most, tolerance, limit):
+def fast_marginal_likelihood(B, D, y, free, first, beta, learn, most, tolerance, limit):
     """Sparse Bayesian regression of y on basis functions of unit length.
 
     Adding functions one by one to an empty model often ends in a poor local optimum: with the noise
@@ -189,7 +190,8 @@ def fast_marginal_likelihood(B, D, y, first, beta, learn, most, tolerance, limit
         B: (M, N) basis functions, one a row, each with Σ B² = 1.
         D: (N, M) the same, transposed in memory.
         y: (N,) targets.
-        first: (K,) functions to begin with, at most min(M, N).
+        free: degrees of freedom of y: N, or N − 1 where its mean was taken off it and off B.
+        first: (K,) functions to begin with, at most min(M, free).
         beta: 1/σ² of the noise, where learning starts.
         learn: whether to estimate beta.
         most: largest beta that may be learnt.
@@ -201,7 +203,7 @@ def fast_marginal_likelihood(B, D, y, first, beta, learn, most, tolerance, limit
         after each step (steps,), and whether it converged.
     """
     M, N = B.shape
-    room = min(M, N) + 1
+    room = min(M, free) + 1
     active, slot = np.empty(room, np.int64), np.full(M, -1)
     alpha, mean, variance, w = np.empty(room), np.empty(room), np.empty(room), np.empty(room)
     H, L, U = np.empty((room, room)), np.empty((room, room)), np.zeros((room, room))
@@ -210,26 +212,29 @@ def fast_marginal_likelihood(B, D, y, first, beta, learn, most, tolerance, limit
     t = np.empty(M)
     project(D, y, t)
     m, steps, converged, together = len(first), 0, False, True
+    highest, since = -np.inf, 0
     for i in range(m):
         active[i], slot[first[i]] = first[i], i
-        alpha[i] = SPREAD
+        alpha[i] = max(SPREAD, LEAST * beta)
         for j in range(i + 1):  # the first phase needs no products with other functions
             G[i, first[j]] = G[j, first[i]] = np.sum(B[first[i]] * B[first[j]])
     while True:
         posterior(m, active, alpha, beta, G, t, H, L, U, w, mean, variance)
         residual(m, active, mean, B, y, error)
         if steps > 0:
-            trace[steps - 1] = log_evidence(m, alpha, beta, L, mean, error)
+            trace[steps - 1] = log_evidence(m, alpha, beta, free, L, mean, error)
+            if trace[steps - 1] > highest + LEAST_GAIN:
+                highest, since = trace[steps - 1], steps
         if steps == limit or converged:
             break
         steps += 1
-        fresh = noise_precision(m, alpha, variance, error, most) if learn else beta
+        fresh = noise_precision(m, alpha, variance, free, error, most) if learn else beta
         change = abs(np.log(fresh / beta))
         if together:
             largest = 0.0
             for i in range(m - 1, -1, -1):
                 gamma = max(1.0 - alpha[i] * variance[i], 1e-12)
-                new = gamma / max(mean[i] ** 2, 1e-300)
+                new = max(gamma / max(mean[i] ** 2, 1e-300), LEAST * beta)
                 largest = max(largest, abs(np.log(new / alpha[i])))
                 alpha[i] = new
                 if new > PRUNE * fresh:
@@ -242,13 +247,15 @@ def fast_marginal_likelihood(B, D, y, first, beta, learn, most, tolerance, limit
             continue
         statistics(m, beta, G, t, L, w, V, S, Q)
         gain, which = best_addition(beta, slot, S, Q)
-        other, place, new, largest = best_change(m, alpha, mean, variance)
+        other, place, new, largest = best_change(m, alpha, mean, variance, LEAST * beta)
         full = m == room - 1
         if (gain < LEAST_GAIN or full) and largest < tolerance and change < tolerance:
             converged = True
+        if steps > since + PATIENCE:  # functions that are alike may change places for ever
+            converged = True
         if gain > other and gain >= LEAST_GAIN and not full:
             active[m], slot[which] = which, m
-            alpha[m] = S[which] ** 2 / (Q[which] ** 2 - S[which])
+            alpha[m] = max(S[which] ** 2 / (Q[which] ** 2 - S[which]), LEAST * beta)
             project(D, B[which], G[m])
             m += 1
         elif place >= 0 and new < np.inf:

@@ -61,7 +61,7 @@ def rvm(
         noise: standard deviation of the autocorrelation's errors, as a share of lag 0, or None.
     """
     within("kernel_scale", kernel_scale, 0.0, above=True)
-    machine = RVM("gaussian", scale=kernel_scale, noise=noise)
+    machine = RVM("gaussian", scale=kernel_scale, bias=False, noise=noise)
     return _smoothed(data, axis, machine, data.lags)
 
 
@@ -76,7 +76,7 @@ def rvm_dictionary(data: Correlation, axis: int, *, noise: float | None = None) 
     places = shape.grid(*shape.region(data))
     atoms = shape.increment_autocorrelation(places, data.lags, data.step).T
     atoms = atoms / np.maximum(np.linalg.norm(atoms, axis=0), 1e-300)
-    return _smoothed(data, axis, RVM("precomputed", noise=noise), atoms)
+    return _smoothed(data, axis, RVM("precomputed", bias=False, noise=noise), atoms)
 
 
 def _smoothed(data: Correlation, axis: int, machine: RVM, points: Array) -> Found:

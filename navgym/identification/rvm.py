@@ -21,16 +21,16 @@ _learn: Any = fast_marginal_likelihood  # typed by numba from its arguments
 
 Kernel = Callable[[Array, Array], Any]
 
-LARGEST_RATIO = (
-    1e12  # of the variance of y over that of the noise, so that exact data end somewhere
-)
+FINEST = 1e6  # max |y| over the noise: with more, α drowns in the rounding of Σ⁻¹ = βΦᵀΦ + A
+ROUNDING = 1e-14  # what a mean leaves of a column that does not vary, as a share of its size
+WIDEST = 1e140  # largest |y| whose square and its inverse are numbers
 FIRST = 50  # basis functions to begin with
 
 
 def gaussian(x: Array, z: Array, scale: float) -> Array:
     """(N, M) exp(−|x − z|² / scale²), for x (N, D) and z (M, D); `scale` as in Tipping (2001)."""
-    squared = sum((x[:, None, d] - z[None, :, d]) ** 2 for d in range(x.shape[1]))
-    return np.asarray(np.exp(-squared / scale**2))
+    squared = sum(((x[:, None, d] - z[None, :, d]) / scale) ** 2 for d in range(x.shape[1]))
+    return np.asarray(np.exp(-squared))
 
 
 def spline(x: Array, z: Array) -> Array:
@@ -44,12 +44,17 @@ def spline(x: Array, z: Array) -> Array:
 class RVM:
     """Sparse Bayesian regression; `fit` sets the attributes.
 
+    The constant w₀ has no prior: it is integrated out, so that an offset of the targets moves the
+    intercept and nothing else, however large it is.
+
     Args:
         kernel: "gaussian"; "spline"; "precomputed" (x is the design matrix, (N, M)); or a function
             of (N, D) and (M, D) points that returns (N, M).
         scale: of the Gaussian kernel, in the unit of x.
-        bias: whether to add a constant to the basis.
-        noise: standard deviation of the noise, in the unit of y; None estimates it.
+        bias: whether there is a constant w₀; without one, targets are taken to be 0 far from the
+            relevance vectors.
+        noise: standard deviation of the noise, in the unit of y; None estimates it. At least a
+            millionth of the largest target (less its mean, with a constant): see `sigma`.
         tolerance: of |Δ log α| at the end.
         limit: of steps; each adds, re-estimates or deletes one basis function.
 
@@ -57,14 +62,16 @@ class RVM:
         relevance: (m,) indices of the relevance vectors, rising.
         weights: (m,) their posterior mean weights.
         intercept: posterior mean of the constant; 0 without one.
-        covariance: posterior covariance of the weights; (m, m), or (m+1, m+1) where the constant
-            is relevant too, then in the last row and column.
-        alpha: prior precisions in the order of `covariance`.
+        covariance: posterior covariance of the weights, (m, m); with a constant (m+1, m+1), the
+            constant in the last row and column.
+        alpha: (m,) prior precisions of the weights.
         sigma: standard deviation of the noise.
-        evidence: log p(y | α, σ²).
+        evidence: log p(y | α, σ²); with a constant, that of the density over which the constant is
+            integrated, ∫ p(y | w₀, α, σ²) dw₀.
         trace: (iterations,) the log evidence after each step.
         iterations: number of steps.
-        converged: whether the last step changed nothing.
+        converged: whether the last step changed nothing, or hundreds of them raised the evidence by
+            nothing to speak of; False where `limit` came first.
 
     Raises:
         ValueError: an option or data that cannot be used.
@@ -86,14 +93,14 @@ class RVM:
         kernel: str | Kernel = "gaussian",
         *,
         scale: float = 1.0,
-        bias: bool = False,
+        bias: bool = True,
         noise: float | None = None,
         tolerance: float = 1e-3,
         limit: int = 10_000,
     ) -> None:
         if not callable(kernel):
             one_of("kernel", kernel, ("gaussian", "spline", "precomputed"))
-        self.kernel, self.bias = kernel, bias
+        self.kernel, self.bias = kernel, bool(bias)
         self.scale = within("scale", scale, 0.0, above=True)
         self.noise = None if noise is None else within("noise", noise, 0.0, above=True)
         self.tolerance = within("tolerance", tolerance, 0.0, above=True)
@@ -101,48 +108,90 @@ class RVM:
 
     def fit(self, x: ArrayLike, y: ArrayLike) -> RVM:
         """Learn from points x, (N,) or (N, D), with targets y (N,); returns the machine itself."""
-        points, targets = self._points(x), real_array("y", y)
+        points, targets = self._points(x), _numbers("y", y)
         if targets.shape != points.shape[:1] or len(targets) < 2:
             raise ValueError(
                 f"y must hold one number per row of x, {len(points)}, and at least 2, "
                 f"got shape {targets.shape}."
             )
-        design = self._design(points, points)
-        if self.bias:
-            design = np.column_stack((design, np.ones(len(points))))
+        design, means = self._centred(self._design(points, points))
         length = np.sqrt(np.einsum("nm,nm->m", design, design))
         length[length == 0.0] = 1.0  # a function that is zero everywhere never becomes relevant
         design = np.ascontiguousarray(design / length)
-        unit = float(np.abs(targets).max()) or 1.0  # keeps tiny targets away from underflow
-        spread = max(float(np.var(targets / unit)), 1e-12)
+        unit, targets, mean = self._relative(targets)
+        free = len(points) - self.bias
         found = _learn(
-            np.ascontiguousarray(design.T), design, targets / unit, self._first(*design.shape),
-            100.0 / spread if self.noise is None else (unit / self.noise) ** 2,
-            self.noise is None, LARGEST_RATIO / spread, self.tolerance, self.limit,
+            np.ascontiguousarray(design.T), design, targets, free,
+            self._first(free, design.shape[1]),
+            self._precision(targets, unit), self.noise is None, FINEST**2, self.tolerance,
+            self.limit,
         )  # fmt: skip
         self._keep(points, length / unit, unit, *found)
+        self._anchor(len(points), means, mean)
         return self
+
+    def _precision(self, targets: Array, unit: float) -> float:
+        """1/σ² of the noise that is given, or where learning starts, in units of 1/unit²."""
+        if self.noise is not None:
+            return min(unit / self.noise, FINEST) ** 2
+        return min(100.0 / max(float(np.var(targets)), 1e-300), FINEST**2)
+
+    def _centred(self, values: Array) -> tuple[Array, Array]:
+        """Columns less their means, and the means; as they are, and zeros, without a constant.
+
+        What rounding leaves of a column that does not vary is taken for zero: it would pass for a
+        function, or for a target.
+        """
+        if not self.bias:
+            return values, np.zeros(values.shape[1])
+        means = values.mean(axis=0)
+        rest = values - means
+        rest[:, np.abs(rest).max(axis=0) <= ROUNDING * np.abs(values).max(axis=0)] = 0.0
+        return rest, means
+
+    def _relative(self, y: Array) -> tuple[float, Array, float]:
+        """A unit, the targets less their mean in it, and their mean in that of the data.
+
+        In units of their own, tiny targets don't underflow and huge ones don't overflow.
+        """
+        largest = float(np.abs(y).max()) or 1.0
+        if not 1.0 / WIDEST <= largest <= WIDEST:
+            raise ValueError(
+                f"y must have a largest magnitude of 0 or in {1 / WIDEST:g}..{WIDEST:g}, got "
+                f"{largest:g}: give it in another unit."
+            )
+        rest, means = self._centred((y / largest)[:, None])
+        unit = float(np.abs(rest).max()) or 1.0
+        return largest * unit, rest[:, 0] / unit, largest * float(means[0])
 
     def _keep(
         self, points: Array, length: Array, unit: float, active: Any, alpha: Array, mean: Array,
         U: Array, beta: float, trace: Array, converged: bool,
     ) -> None:  # fmt: skip
         """Sort the kernel's answer and return to the units of the data."""
-        order = np.argsort(active)  # the constant has the last index
-        active, U = active[order], U[:, order]
-        weights = mean[order] / length[active]
-        constant = self.bias and len(active) > 0 and active[-1] == len(length) - 1
-        self.relevance = active[:-1] if constant else active
-        self.weights = weights[:-1] if constant else weights
-        self.intercept = float(weights[-1]) if constant else 0.0
-        self.covariance = (U.T @ U) / np.outer(length[active], length[active])
-        self.alpha = alpha[order] * length[active] ** 2
-        self.sigma = unit / np.sqrt(beta)
-        self.trace = trace - len(points) * np.log(unit)  # density per unit of y
-        self.evidence = float(self.trace[-1])
+        order = np.argsort(active)
+        self.relevance = active[order]
+        own = length[self.relevance]
+        self.weights, U = mean[order] / own, U[:, order] / own
+        self._within = U.T @ U
+        self.alpha = alpha[order] * own**2
+        self.sigma = float(unit / np.sqrt(beta))
+        self.trace = trace - (len(points) - self.bias) * np.log(unit)  # density per unit of y
         self.iterations, self.converged = len(trace), bool(converged)
-        self._constant = bool(constant)
+        self._points_of_fit = points.shape
         self._vectors = None if self.kernel == "precomputed" else points[self.relevance]
+
+    def _anchor(self, count: int, means: Array, mean: float) -> None:
+        """Add the constant: it goes through the means of the targets and of the functions."""
+        self._means, self._mean = means[self.relevance], mean
+        self.intercept = float(mean - self._means @ self.weights)
+        self.covariance = self._within
+        if self.bias:
+            self.trace = self.trace - 0.5 * np.log(count)  # of the integral over the constant
+            across = -self._within @ self._means
+            own = self.sigma**2 / count - across @ self._means
+            self.covariance = np.block([[self._within, across[:, None]], [across, own]])
+        self.evidence = float(self.trace[-1])
 
     @overload
     def predict(self, x: ArrayLike, deviation: Literal[False] = False) -> Array: ...
@@ -155,46 +204,63 @@ class RVM:
 
         Raises:
             RuntimeError: before `fit`.
+            ValueError: points of another dimension than those of `fit`, or not finite.
         """
         if not hasattr(self, "weights"):
             raise RuntimeError("this RVM has learnt nothing yet: call fit(x, y) first.")
-        points = self._points(x)
-        if self._vectors is None:
-            design = points[:, self.relevance]
-        else:
-            design = self._design(points, self._vectors)
-        mean: Array = design @ self.weights + self.intercept
+        design = self._functions(self._points(x)) - self._means
+        mean: Array = design @ self.weights + self._mean
         if not deviation:
             return mean
-        if self._constant:
-            design = np.column_stack((design, np.ones(len(points))))
-        variance = np.einsum("ni,ij,nj->n", design, self.covariance, design)
-        return mean, np.sqrt(variance + self.sigma**2)
+        constant = self.sigma**2 / self._points_of_fit[0] if self.bias else 0.0
+        variance = np.einsum("ni,ij,nj->n", design, self._within, design)
+        return mean, np.sqrt(np.maximum(variance, 0.0) + constant + self.sigma**2)
+
+    def _functions(self, points: Array) -> Array:
+        """(N, m) the relevant functions at points like those of the fit."""
+        width = self._points_of_fit[1]
+        if points.shape[1] != width:
+            raise ValueError(
+                f"x must have {width} column{'s' * (width != 1)}, as in fit, got {points.shape[1]}: "
+                "give points of the same dimension (one point of several numbers is x[None, :])."
+            )
+        if self._vectors is None:
+            return points[:, self.relevance]
+        return self._design(points, self._vectors)
 
     @staticmethod
-    def _first(points: int, functions: int) -> Any:
-        """Indices of basis functions, evenly spread, to begin with; the constant is one of them."""
-        count = min(points, functions, FIRST)
+    def _first(free: int, functions: int) -> Any:
+        """Indices of basis functions, evenly spread, to begin with."""
+        count = min(free, functions, FIRST)
         return np.round(np.linspace(0, functions - 1, count)).astype(np.int64)
 
     def _points(self, x: ArrayLike) -> Array:
-        points = real_array("x", x)
+        points = _numbers("x", x)
         points = points[:, None] if points.ndim == 1 else points
-        if points.ndim != 2 or len(points) == 0:
+        if points.ndim != 2 or 0 in points.shape:
             raise ValueError(f"x must have shape (N,) or (N, D), got {points.shape}.")
         return points
 
     def _design(self, x: Array, z: Array) -> Array:
         if self.kernel == "precomputed":
             return x
-        if self.kernel == "gaussian":
-            return gaussian(x, z, self.scale)
-        if self.kernel == "spline":
-            return spline(x, z)
-        assert callable(self.kernel)
+        if not callable(self.kernel):
+            with np.errstate(over="ignore", invalid="ignore"):
+                value = gaussian(x, z, self.scale) if self.kernel == "gaussian" else spline(x, z)
+            return real_array(f"kernel {self.kernel!r} of these x (rescale them)", value)
         value = real_array("kernel(x, z)", self.kernel(x, z))
         if value.shape != (len(x), len(z)):
             raise ValueError(
                 f"kernel(x, z) must return shape {(len(x), len(z))}, got {value.shape}."
             )
         return value
+
+
+def _numbers(field: str, value: ArrayLike) -> Array:
+    """`value` as finite numbers; ValueError where some are masked."""
+    if np.ma.is_masked(value):
+        raise ValueError(
+            f"{field} must be known, got {np.ma.getmaskarray(value).sum()} masked values: "
+            "leave those points out of x and y, for example by x[~y.mask], y[~y.mask]."
+        )
+    return real_array(field, value)
