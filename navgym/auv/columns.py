@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navgym.auv.fields import GEOGRAPHIC, SENSORS, Field, means
-from navgym.auv.geodesy import LIMITS, degrees_of, degrees_of_nmea, to_plane
+from navgym.auv.geodesy import LIMITS, degrees_of, degrees_of_nmea, signed, to_plane
 from navgym.auv.rows import is_held, repeats, sentinel
 from navgym.core.checks import Array, one_of
 from navgym.core.clocks import Times, read_times
@@ -93,13 +93,13 @@ class Columns:
         """Numbers of a column as they stand in the file, (T,), NaN where lost."""
         field = self.fields[quantity]
         words = {str(word).strip().lower() for word in self.missing} | LOST
-        number = {"ddmm.mmmm": degrees_of_nmea}.get(field.unit or "", degrees_of)
+        minutes = field.unit == "ddmm.mmmm"
         values = self.table.numbers(
             field.column,
             gaps=True,
             lost=frozenset(words),
             infinite=True,
-            number=number if quantity in GEOGRAPHIC else None,
+            number=(signed if minutes else degrees_of) if quantity in GEOGRAPHIC else None,
         )
         endless = np.isinf(values)
         if endless.any():
@@ -107,7 +107,7 @@ class Columns:
         for mark in self.missing:
             endless |= values == _number(mark)
         values[endless] = np.nan
-        return values
+        return degrees_of_nmea(values) if minutes else values
 
     def numbers(self, quantity: str) -> Array:
         """Numbers of a column in s, m, m/s or rad, (T,), NaN where lost."""
@@ -272,12 +272,13 @@ def doubt_unit(columns: Columns, times: Times, p: Array, v: Array) -> float:
         p: (T, k) positions, m.
         v: (T, k) velocities along the same axes, m/s.
     """
-    t, notes = times.seconds, columns.notes
+    index, notes = np.argsort(times.seconds, kind="stable"), columns.notes
+    t, p, v = times.seconds[index], p[index], v[index]
     steps = np.diff(t)
     usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
     if usual < WHOLE_STEPS or times.guessed or not (t == np.round(t)).all():
         return 1.0
-    moved, told = np.abs(np.diff(p, axis=0)), np.abs(v[1:]) * np.maximum(steps, 0.0)[:, None]
+    moved, told = np.abs(np.diff(p, axis=0)), np.abs(v[1:]) * steps[:, None]
     both = ~np.isnan(moved + told)
     if both.sum() > STILL and told[both].sum() > 0.0:
         ratio = moved[both].sum() / told[both].sum()

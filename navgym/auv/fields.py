@@ -213,15 +213,13 @@ def _settle(file: str, found: dict[str, Field]) -> None:
         for name in GEOGRAPHIC if flat else ():
             found.pop(name, None)
         return
-    weights = [
-        max(2 * f.chosen + (f.column == f.quantity) for f in pair) for pair in (flat, round_)
-    ]
-    exact = all(f.column == f.quantity for f in flat)
-    if weights[0] == weights[1] and not exact:
+    chosen = [any(field.chosen for field in pair) for pair in (flat, round_)]
+    exact = all(field.column == field.quantity for field in flat)
+    if chosen[0] == chosen[1] and not exact:
         raise ValueError(
             f"{file}: {' and '.join(repr(f.column) for f in (*flat, *round_))} all hold a position: "
             f"say which counts, with columns={{'px': {flat[0].column!r}, ...}} or "
             f"columns={{'lat': {round_[0].column!r}, ...}}."
         )
-    for field in round_ if weights[0] > weights[1] or (exact and weights[1] < 2) else flat:
+    for field in flat if chosen[1] and not chosen[0] else round_:
         del found[field.quantity]

@@ -24,7 +24,7 @@ _ANGLE = re.compile(
     r"(?P<side>[NSEWnsew]?)\s*",
     re.ASCII,
 )
-_NMEA = re.compile(r"\s*([-+]?\d+(?:\.\d+)?)\s*([NSEWnsew])?\s*", re.ASCII)
+_SIDED = re.compile(r"\s*(\d+(?:\.\d+)?)\s*([NSEWnsew])\s*", re.ASCII)
 
 
 def to_plane(
@@ -116,15 +116,17 @@ def degrees_of(text: str) -> float:
     return -size if minus else size
 
 
-def degrees_of_nmea(text: str) -> float:
-    """Degrees of ddmm.mmmm or dddmm.mmmm, with or without N, S, E, W; NaN if it is none."""
-    found = _NMEA.fullmatch(text[:60])
+def signed(text: str) -> float:
+    """The number of a text such as 5912.345S, negative for S and W; NaN if it is none."""
+    found = _SIDED.fullmatch(text[:60])
     if found is None:
         return math.nan
-    value = float(found[1])
-    whole = math.trunc(value / 100.0)
+    return -float(found[1]) if found[2].upper() in ("S", "W") else float(found[1])
+
+
+def degrees_of_nmea(value: Array) -> Array:
+    """Degrees of ddmm.mmmm or dddmm.mmmm, NaN where minutes are 60 or more."""
+    whole = np.trunc(value / 100.0)
     minutes = value - 100.0 * whole
-    if abs(minutes) >= 60.0:
-        return math.nan
-    size = whole + minutes / 60.0
-    return -size if (found[2] or "").upper() in ("S", "W") else size
+    degrees: Array = whole + np.where(np.abs(minutes) < 60.0, minutes, np.nan) / 60.0
+    return degrees

@@ -90,7 +90,7 @@ def _numbers(table: Table, column: str, scale: float | None) -> Times:
                 guess = unit
                 why = f"the times are taken for {UNITS[unit]} since 1970"
     seconds = guess * found
-    steps = np.abs(np.diff(seconds))
+    steps = np.diff(np.sort(seconds))
     usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
     dated = EPOCH[0] < size * guess < EPOCH[1]
     far = float(np.spacing(np.abs(found).max()) * guess)

@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import islice
 
 from navgym.core import units
@@ -18,13 +19,16 @@ LOST = frozenset(
 DELIMITERS = (",", ";", "\t", "|", " ")
 COMMENTS = ("#", "%", "//")
 SAMPLE = 400  # lines that are looked at
+JUDGED = 100  # of them, by which the delimiter is found
 WIDEST = 20_000  # bytes of such a line
-_NUMBER = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?")
-_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+LONGEST_VALUE = 60  # characters
+_NUMBER = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?", re.ASCII)
+_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?", re.ASCII)
 _DATE = r"\d{4}[-/]\d\d?[-/]\d\d?|\d\d?[./]\d\d?[./]\d{4}"
 _CLOCK = r"\d{1,2}:\d\d(:\d\d([.,]\d*)?)?"
-_TIME = re.compile(rf"({_DATE})([T ]+{_CLOCK}\s*(Z|UTC|[-+]\d\d:?(\d\d)?)?)?|{_CLOCK}")
-_DEGREES = re.compile(r"[-+]?\d+([.,]\d+)?\s*[°º].*|\d+(\.\d+)?\s*[NSEW]")
+_TIME = rf"({_DATE})([T ]+{_CLOCK}\s*(Z|UTC|[-+]\d\d:?(\d\d)?)?)?|{_CLOCK}"
+_DEGREES = r"[-+]?\d+([.,]\d+)?\s*[°º].*|\d+(\.\d+)?\s*[NSEW]"
+_VALUE = re.compile("|".join((_NUMBER.pattern, _COMMA.pattern, _TIME, _DEGREES)), re.ASCII)
 _DATE_BLANK_CLOCK = re.compile(r"(?<!\S)(\d{4}[-/]\d\d?[-/]\d\d?)[ \t]+(?=\d\d?:\d\d)")
 
 
@@ -106,11 +110,10 @@ def cells(line: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in found]
 
 
+@lru_cache(maxsize=1 << 16)
 def is_value(cell: str) -> bool:
     """Whether a cell is a number, a time or an angle (a missing one is none)."""
-    if len(cell) > 60:
-        return False
-    return any(p.fullmatch(cell) for p in (_NUMBER, _COMMA, _TIME, _DEGREES))
+    return len(cell) <= LONGEST_VALUE and _VALUE.fullmatch(cell) is not None
 
 
 def _check(delimiter: str | None, decimal: str | None) -> None:
@@ -148,7 +151,7 @@ def _delimiter(lines: Sequence[str]) -> str:
     """The delimiter by which most cells of rows of one width are values."""
     best, most = ",", 0.0
     for delimiter in DELIMITERS:
-        split = [cells(line, delimiter) for line in lines]
+        split = [cells(line, delimiter) for line in lines[:JUDGED]]
         tally: Counter[int] = Counter()
         for row in split:
             values = sum(is_value(cell) or (cell.lower() in LOST) for cell in row)
