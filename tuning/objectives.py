@@ -219,16 +219,16 @@ def plain_quantities(cases: Cases, measure: Measure) -> dict[str, Array]:
 
 
 def _space(whole: ParameterSpace, free: Iterable[str | Parameter]) -> ParameterSpace:
-    """The free parameters; those with ranges of their own must lie inside the filter's."""
+    """The free parameters; ranges of their own must lie inside what the filter admits."""
     chosen = []
     for each in free:
         name = each if isinstance(each, str) else each.name
         known = whole[name]
         own = known if isinstance(each, str) else each
-        if own.low < known.low or own.high > known.high:
+        low, high = known.admissible
+        if own.low < low or own.high > high:
             raise ValueError(
-                f"range of {name} must lie inside {known.low:g}..{known.high:g}, got "
-                f"{own.low:g}..{own.high:g}."
+                f"range of {name} must lie inside {low:g}..{high:g}, got {own.low:g}..{own.high:g}."
             )
         chosen.append(own)
     names = [p.name for p in chosen]
@@ -241,12 +241,13 @@ def _space(whole: ParameterSpace, free: Iterable[str | Parameter]) -> ParameterS
 def narrowed(parameter: Parameter, low: float, high: float) -> Parameter:
     """`parameter` with a range of its own, its default moved inside.
 
-    Raises ValueError for an empty range, and for one that is not inside the parameter's.
+    Raises ValueError for an empty range, and for one that is not inside what is admissible.
     """
-    if not parameter.low <= low < high <= parameter.high:
+    least, most = parameter.admissible
+    if not least <= low < high <= most:
         raise ValueError(
-            f"range of {parameter.name} must be low < high inside {parameter.low:g}.."
-            f"{parameter.high:g}, got {low:g}..{high:g}."
+            f"range of {parameter.name} must be low < high inside {least:g}..{most:g}, got "
+            f"{low:g}..{high:g}."
         )
     default = min(max(parameter.default, low), high)
     return dataclasses.replace(parameter, low=low, high=high, default=default)
@@ -261,7 +262,8 @@ def _check_names(space: ParameterSpace, fixed: Mapping[str, Any]) -> None:
 
 
 class Pooled:
-    """Several objectives as one: every run's loss over the mean of the plain filter's there.
+    """Several objectives as one: every run's loss over the mean of the plain filter's there, or, of
+    logarithms, less it.
 
     A set of scenarios weighs by how much the filter gains in each, not by metres; runs of all of
     them are the instances.
@@ -276,7 +278,7 @@ class Pooled:
         self.members = tuple(members)
         self.space = members[0].space
         self.metric = members[0].metric
-        self._scales = [float(m.measure.losses(m.plain, m.plain).mean()) for m in members]
+        self._plain = [float(m.measure.losses(m.plain, m.plain).mean()) for m in members]
         ends = np.cumsum([0, *map(len, members)])
         self._spans = list(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True))
 
@@ -293,13 +295,14 @@ class Pooled:
         wanted = np.arange(len(self)) if which is None else np.asarray(which)
         losses, spent = np.empty(len(wanted)), []
         limits: dict[str, Array] = {}
-        for member, scale, (first, last) in zip(
-            self.members, self._scales, self._spans, strict=True
+        for member, plain, (first, last) in zip(
+            self.members, self._plain, self._spans, strict=True
         ):
             here = (wanted >= first) & (wanted < last)
             if here.any():
                 found = member.evaluate(values, wanted[here] - first)
-                losses[here] = found.losses / scale
+                whole = member.measure.relative
+                losses[here] = found.losses / plain if whole else found.losses - plain
                 spent.append(found.microseconds)
                 for name, each in found.limits.items():
                     limits.setdefault(name, np.empty(len(wanted)))[here] = each
@@ -391,20 +394,23 @@ class Guarded:
     """A goal whose value rises with the share of runs that a guard sees fail.
 
     value = goal · (1 + price · share), share being the largest, over the guards, of runs that are
-    more than `limit` times worse than the plain filter's. A mean hardly notices one run in a
-    hundred that locks out; whoever sails in it does.
+    more than `limit` times worse than the plain filter's, and then the largest share by which an
+    objective of `bounds` is above what it may come to. A mean hardly notices one run in a hundred
+    that locks out; whoever sails in it does.
 
     Args:
         goal: what to minimise.
         guards: objectives over the same space; take many recordings, rare failures are the point.
         limit: a run's error over the plain filter's, above which it failed.
         price: what a failing share of 1 costs, in goals.
+        bounds: objectives over the same space, and what each may come to.
     """
 
     goal: Goal
     guards: Sequence[Objective]
     limit: float = 2.0
     price: float = 20.0
+    bounds: Sequence[tuple[Objective, float]] = ()
 
     @property
     def space(self) -> ParameterSpace:
@@ -418,12 +424,18 @@ class Guarded:
         return {
             "goal": dict(self.goal.about),
             "guards": {"limit": self.limit, "price": self.price, "members": guards},
+            "bounds": [{"most": most, **dict(bound.about)} for bound, most in self.bounds],
         }
 
     def failing(self, values: Mapping[str, Any]) -> float:
         """Largest share, over the guards, of runs beyond the limit."""
         return max((g.share_beyond(values, self.limit) for g in self.guards), default=0.0)
 
+    def beyond(self, values: Mapping[str, Any]) -> float:
+        """Largest share by which a bound is broken, 0 where none is."""
+        return max([0.0, *(bound(values) / most - 1.0 for bound, most in self.bounds)])
+
     def __call__(self, values: Mapping[str, Any]) -> float:
         """The guarded value at `values`."""
-        return self.goal(values) * (1.0 + self.price * self.failing(values))
+        price = self.price * (self.failing(values) + self.beyond(values))
+        return self.goal(values) * (1.0 + price)

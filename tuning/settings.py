@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from navgym.core.checks import one_of, positive_int
 from navgym.core.machine import cores
-from navgym.core.parameters import Parameter
+from navgym.core.parameters import Parameter, ParameterSpace
 from navgym.metrics.measures import METRICS
 from navgym.problem import Amount, Problem, problem_of, problems, problems_with
 from navgym.readers import ReaderOptions
 from navgym.simulation import scenarios
+from navgym.statespace.filters.spaces import PROCESS
 from navgym.tuning.objectives import find_measure, narrowed
 from navgym.tuning.study.run import STUDY
 from navgym.tuning.study.search_space import SAMPLERS
 
 ALL = "all"
+# how noise scales of sensors and of axes of motion end; see `navgym.statespace.noise`
+NOISE, AXIS, ALL_SENSORS = "_noise_scale", "_process_scale", "measurement_noise_scale"
+# of noise scales on logs, whose models are the reader's defaults as often as not
+LOG_RANGE = (1e-4, 1e4)
 # of real tracks, runs are draws of noise and losses per track and loss rate
 ON_TRACKS = Amount(200, 10, 10, 10)
 _FIRST = next(problems()).study  # what is tuned where nothing is said
@@ -61,10 +66,13 @@ class StudySettings:
             look like).
         akit: folder of the A-KIT tracks: tune on 1 to 3 without their truth, report on 4 to 6.
         free: parameters to vary; all for every one. By default, of a variational filter on simulated
-            conditions, the four that matter there; otherwise every one.
+            conditions, the four that matter there; on other simulated ones every one of the filter's own;
+            on logs and tracks also a noise scale per sensor and axis, where there are several.
         fix: parameters held at a value of their own, such as: vb_iterations 3
-        range: narrower ranges, such as: process_noise_scale 1 100
-        measure: loss of a run ({measures}). By default the first; likelihood where no truth is known.
+        range: other ranges, such as: process_noise_scale 1 100. Noise scales may go beyond their usual
+            range; on logs they do so by themselves, 1e-4 to 1e4.
+        measure: loss of a run ({measures}). By default the first; where no truth is known the one-step
+            error of what is measured: fixes, velocities or rates.
         metric: of the runs' losses: mean, median or "quantile 95 %".
         cost: minimise the time per filter step as well, and show the front.
         trials: finished trials to end with (default: {trials}).
@@ -203,28 +211,64 @@ class StudySettings:
         """Worker processes."""
         return self.workers or cores()
 
-    def parameters(self) -> tuple[Parameter, ...]:
+    def parameters(self, space: ParameterSpace | None = None) -> tuple[Parameter, ...]:
         """The free parameters, with the ranges asked for.
+
+        Args:
+            space: what can be tuned on the recordings at hand; what every recording has by default.
 
         Raises ValueError for an unknown name, an empty range, nothing to vary.
         """
-        whole, usual = self.problem.find(self.filter).space, self.problem.study.free
+        whole, usual = self._whole(space), self.problem.study.free
         names = self.free
-        if not names and self.simulated and usual and usual[0] in whole.names:
-            names = tuple(n for n in usual if n in whole.names)
-        if not names or names == (ALL,):
+        if not names and self.simulated:
+            own = self.problem.find(self.filter).space.names
+            names = tuple(n for n in usual if n in own) if usual and usual[0] in own else own
+        if not names:  # what scales all sensors is left out where each has a scale of its own
+            each = [
+                n for n in whole.names if n.endswith(NOISE) and n not in (PROCESS.name, ALL_SENSORS)
+            ]
+            kept = () if each and ALL_SENSORS not in self.range else (ALL_SENSORS,)
+            names = tuple(n for n in whole.names if n != ALL_SENSORS or n in kept)
+        if names == (ALL,):
             names = whole.names
         names = tuple(n for n in names if n not in self.fix or n in self.free)
         for name in self.range:
             one_of("free parameter", name, names)
-        chosen = whole.subset(names)
-        return tuple(
-            narrowed(p, *self.range[p.name]) if p.name in self.range else p for p in chosen
-        )
+        return tuple(map(self._ranged, whole.subset(names)))
 
-    def fixed(self) -> dict[str, Any]:
+    def _ranged(self, p: Parameter) -> Parameter:
+        """A free parameter with the range that it is searched in."""
+        if p.name in self.range:
+            return narrowed(p, *self.range[p.name])
+        if self.log and p.widest is not None:
+            return narrowed(p, min(p.low, LOG_RANGE[0]), max(p.high, LOG_RANGE[1]))
+        return p
+
+    def _whole(self, space: ParameterSpace | None) -> ParameterSpace:
+        """What can be tuned; without recordings a sensor's scale is taken at its word."""
+        if space is not None:
+            return space
+        own = self.problem.find(self.filter).space
+        named = dict.fromkeys(
+            n for n in (*self.free, *self.fix, *self.range) if n.endswith((NOISE, AXIS))
+        )
+        sensors = [replace(PROCESS, name=n, at_start=True) for n in named if n not in own.names]
+        return ParameterSpace((*own, *sensors))
+
+    def beyond(self, space: ParameterSpace | None = None) -> list[str]:
+        """Ranges that were asked for and are wider than usual, in words."""
+        usual = self._whole(space)
+        return [
+            f"{p.name} is searched from {p.low:g} to {p.high:g}, beyond its usual "
+            f"{usual[p.name].low:g} to {usual[p.name].high:g}"
+            for p in self.parameters(space)
+            if p.name in self.range and (p.low < usual[p.name].low or p.high > usual[p.name].high)
+        ]
+
+    def fixed(self, space: ParameterSpace | None = None) -> dict[str, Any]:
         """Parameters held at a value of their own."""
-        whole = self.problem.find(self.filter).space
+        whole = self._whole(space)
         return {name: whole[name].show(whole[name].check(_read(v))) for name, v in self.fix.items()}
 
 

@@ -3,21 +3,32 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from tqdm import tqdm
 
-from navgym.metrics.measures import CONSISTENCY, LIKELIHOOD
+from navgym.core.parameters import ParameterSpace
+from navgym.metrics.measures import Measure, Quantity
 from navgym.simulation import find_scenario
+from navgym.statespace.filters.spaces import PROCESS
 from navgym.tuned import read_tuned
 from navgym.tuning.cases import Cases
 from navgym.tuning.comparison import Comparison, Entry, compare
-from navgym.tuning.objectives import Costed, InstanceGoal, Objective, Pooled, find_measure
-from navgym.tuning.settings import StudySettings
+from navgym.tuning.objectives import (
+    Costed,
+    InstanceGoal,
+    Objective,
+    Pooled,
+    find_measure,
+    plain_quantities,
+)
+from navgym.tuning.settings import ALL_SENSORS, NOISE, StudySettings
 from navgym.tuning.stages import Stages, stages
 from navgym.tuning.study import racing
 from navgym.tuning.study.executors import workers
@@ -27,7 +38,8 @@ from navgym.tuning.study.sensitivity import Sweep, importances, sweeps
 
 DEFAULT, TUNED = "{}, default", "{}, tuned"
 KNOWN, TRUTH = "{}, best known", "{}, tuned with the truth"
-NEED_NO_TRUTH = (LIKELIHOOD.name, CONSISTENCY.name)
+# A common factor on all noises that moves the one-step error by more than this share moves estimates
+MOVES = 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +55,8 @@ class Findings:
         reports: comparisons on fresh recordings, by name; the tuned filter is one of the entries.
         sweeps: around the winner, on the recordings that chose it.
         importances: of the free parameters, from the trials.
+        held: whether the winner holds on recordings that nobody tuned on.
+        calibrated: the factor on all noise scales by which NIS became 1; None where there is none.
     """
 
     settings: StudySettings
@@ -53,11 +67,32 @@ class Findings:
     reports: Mapping[str, Comparison]
     sweeps: Sequence[Sweep]
     importances: Mapping[str, float]
+    held: Held
+    calibrated: float | None = None
+
+    @property
+    def space(self) -> ParameterSpace:
+        """What can be tuned in the filter on these recordings."""
+        return next(iter(self.stages.train.values())).space(self.settings.filter)
+
+    @property
+    def winner(self) -> dict[str, Any]:
+        """The winner's parameters, the fixed ones included."""
+        return self.settings.fixed(self.space) | dict(self.chosen.values)
 
     @property
     def values(self) -> dict[str, Any]:
-        """The winner's parameters, the fixed ones included."""
-        return self.settings.fixed() | dict(self.chosen.values)
+        """The parameters to use: the winner's, or the defaults where it does not hold."""
+        if not self.held.kept_default:
+            return self.winner
+        return self.settings.fixed(self.space) | {
+            n: self.space.defaults[n] for n in self.chosen.values
+        }
+
+    @property
+    def measure(self) -> Measure:
+        """What the study minimised."""
+        return measure_of(self.goal)
 
     @property
     def tuned(self) -> str:
@@ -80,10 +115,12 @@ def run(settings: StudySettings) -> Findings:
     """
     with workers(settings.processes, settings.scheduler) as executor:
         made = stages(settings)
-        goal = goal_of(settings, made.train)
+        goal, fresh = goal_of(settings, made.train), goal_of(settings, made.select)
+        for cases in made.report.values():  # what cannot be judged is said before the study
+            if is_blind(settings, cases):
+                plain_quantities(cases, find_measure(settings.problem, cases.foretold.name))
         outcome = _study(settings, goal, executor, "tuning", _storage(settings))
-        fresh = goal_of(settings, made.select)
-        chosen = choose(outcome, fresh, executor)
+        chosen, factor = calibrated(settings, made.select, choose(outcome, fresh, executor), fresh)
         found = _sweep(fresh, chosen, executor)
         extra = _with_truth(settings, made, executor)
         reports = {
@@ -91,7 +128,10 @@ def run(settings: StudySettings) -> Findings:
             for name, cases in made.report.items()
         }
         shares = importances(outcome, goal.space)
-        return Findings(settings, goal, outcome, chosen, made, reports, found, shares)
+        return Findings(
+            settings, goal, outcome, chosen, made, reports, found, shares,
+            how_it_held(settings, reports, made.report), factor,
+        )  # fmt: skip
 
 
 def _storage(settings: StudySettings) -> Path | str:
@@ -113,17 +153,36 @@ def goal_of(
         cases: recordings by name; several are pooled.
         measure: another one than the settings'.
     """
-    blind = settings.akit is not None or any(not c.has_truth for c in cases.values())
-    usual = LIKELIHOOD.name if blind else None
     members = [
         Objective(
-            settings.filter, settings.parameters(), each, settings.metric, settings.fixed(),
-            measure or settings.measure or usual,
+            settings.filter, settings.parameters(each.space(settings.filter)), each, settings.metric,
+            settings.fixed(each.space(settings.filter)), measure or minimised(settings, each),
         )
         for each in cases.values()
     ]  # fmt: skip
     goal: InstanceGoal = members[0] if len(members) == 1 else Pooled(members)
     return Costed(goal) if settings.cost and measure is None else goal
+
+
+def minimised(settings: StudySettings, cases: Cases) -> str | None:
+    """Name of the measure that a study on `cases` minimises; None for the problem's first."""
+    blind = settings.akit is not None or not cases.has_truth
+    return settings.measure or (cases.foretold.name if blind else None)
+
+
+def is_blind(settings: StudySettings, cases: Cases) -> bool:
+    """Whether a study on `cases` sees no truth."""
+    return not find_measure(settings.problem, minimised(settings, cases)).needs_truth
+
+
+def measure_of(goal: InstanceGoal) -> Measure:
+    """What a study's goal judges runs by."""
+    if isinstance(goal, Costed):
+        return measure_of(goal.goal)
+    if isinstance(goal, Pooled):
+        return goal.members[0].measure
+    assert isinstance(goal, Objective)
+    return goal.measure
 
 
 def _study(
@@ -134,14 +193,14 @@ def _study(
         settings.prune and not settings.cost and settings.metric != "quantile 95 %", settings.study,
     )  # fmt: skip
     outcome = search(
-        goal, how, journal=where, first=_first(settings), label=label, executor=executor
+        goal, how, journal=where, first=_first(settings, goal.space), label=label, executor=executor
     )
     if outcome.interrupted:
         raise Interrupted(outcome)
     return outcome
 
 
-def _first(settings: StudySettings) -> list[dict[str, Any]]:
+def _first(settings: StudySettings, space: ParameterSpace) -> list[dict[str, Any]]:
     """The earlier result to try right after the defaults, if one was given."""
     if settings.start is None:
         return []
@@ -151,13 +210,15 @@ def _first(settings: StudySettings) -> list[dict[str, Any]]:
             f"{settings.start} holds parameters of {found.filter!r}, not of {settings.filter!r}: "
             "start from another file."
         )
-    return [_inside(settings, found.parameters)]
+    return [_inside(settings, found.parameters, space)]
 
 
-def _inside(settings: StudySettings, values: Mapping[str, Any]) -> dict[str, Any]:
+def _inside(
+    settings: StudySettings, values: Mapping[str, Any], space: ParameterSpace
+) -> dict[str, Any]:
     """`values` of the free parameters, moved inside their ranges."""
     moved = {}
-    for p in settings.parameters():
+    for p in settings.parameters(space):
         if p.name in values:
             given = values[p.name]
             number = p.check(given) if isinstance(given, str) else float(given)
@@ -184,15 +245,60 @@ def evaluated(executor: Executor | None, label: str, calls: Sequence[tuple[Any, 
 
 def _sweep(fresh: InstanceGoal, chosen: Trial, executor: Executor | None) -> list[Sweep]:
     goal = fresh.goal if isinstance(fresh, Costed) else fresh
-    return sweeps(goal, chosen.values, functools.partial(evaluated, executor, "sweeping"))
+    run_all = functools.partial(evaluated, executor, "sweeping")
+    return sweeps(goal, chosen.values, run_all, relative=measure_of(goal).relative)
+
+
+# ---- noise levels that a one-step error cannot see
+
+
+def calibrated(
+    settings: StudySettings, cases: Mapping[str, Cases], chosen: Trial, goal: InstanceGoal
+) -> tuple[Trial, float | None]:
+    """The winner with all its noise scales times the factor that makes NIS 1, and the factor.
+
+    Where every covariance of a model is multiplied by one number, a linear filter's estimates stay and
+    its own covariance is multiplied too: a one-step error cannot choose the factor, and NIS can. It is
+    left out where not all noise scales are free, where it would leave a range, or where it moves the
+    one-step error after all. Returns the winner itself and None then.
+    """
+    names = _all_noises(goal.space)
+    blind = all(is_blind(settings, c) for c in cases.values())
+    if settings.measure in _NOISE_LEVELS or not blind or not names:
+        return chosen, None
+    told = [c.consistency(settings.filter, settings.fixed(c.space(settings.filter)) | dict(chosen.values))[0] for c in cases.values()]  # fmt: skip
+    if any(t is None for t in told):
+        return chosen, None
+    factor = float(np.mean([t.mean for t in told if t is not None]))
+    values = dict(chosen.values)
+    for name in names:
+        values[name] = float(chosen.values[name]) * factor
+        if not goal.space[name].low <= values[name] <= goal.space[name].high:
+            return chosen, None
+    result = goal(values)
+    if not abs(result - chosen.result) <= MOVES * abs(chosen.result):
+        return chosen, None
+    return replace(chosen, values=values, result=result), factor
+
+
+_NOISE_LEVELS = ("likelihood", "consistency")  # measures that choose the level by themselves
+
+
+def _all_noises(space: ParameterSpace) -> list[str]:
+    """Free parameters that together scale the whole of Q and R; none if there is not all of it."""
+    names = space.names
+    sensors = [n for n in names if n.endswith(NOISE) and n not in (PROCESS.name, ALL_SENSORS)]
+    if ALL_SENSORS in names:
+        sensors = [ALL_SENSORS]
+    return [PROCESS.name, *sensors] if PROCESS.name in names and sensors else []
 
 
 def _with_truth(
     settings: StudySettings, made: Stages, executor: Executor | None
 ) -> dict[str, dict[str, Any]]:
     """For logs that were tuned blind though their truth is known: what the truth would have found."""
-    blind = settings.akit is not None and settings.measure in (None, *NEED_NO_TRUTH)
-    if not blind:
+    some = next(iter(made.train.values()))
+    if settings.akit is None or not is_blind(settings, some):
         return {}
     seeing = find_measure(settings.problem, None).name
     usual = goal_of(settings, made.train, seeing)
@@ -200,7 +306,8 @@ def _with_truth(
     beside = where.with_name(f"truth-{where.name}") if isinstance(where, Path) else None
     outcome = _study(settings, usual, executor, "tuning with the truth, to compare", beside)
     best = choose(outcome, goal_of(settings, made.select, seeing), executor)
-    return {TRUTH.format(settings.filter): settings.fixed() | dict(best.values)}
+    fixed = settings.fixed(some.space(settings.filter))
+    return {TRUTH.format(settings.filter): fixed | dict(best.values)}
 
 
 # ---- the report's comparison
@@ -211,7 +318,7 @@ def _report(
 ) -> Comparison:
     """The tuned filter among others on fresh recordings, judged by the truth where there is one."""
     own = settings.filter
-    values = settings.fixed() | dict(chosen.values)
+    values = settings.fixed(cases.space(own)) | dict(chosen.values)
     entries = [
         Entry(DEFAULT.format(own), own),
         Entry(TUNED.format(own), own, values),
@@ -219,14 +326,14 @@ def _report(
         *_known(settings, name),
         *_others(settings, cases),
     ]
-    usual = None if cases.has_truth else LIKELIHOOD.name
-    measure = settings.measure if settings.measure and cases.has_truth else usual
-    if measure in NEED_NO_TRUTH and cases.has_truth:
+    blind = is_blind(settings, cases)
+    measure = minimised(settings, cases)
+    if blind and cases.has_truth:
         measure = None
     keep = (DEFAULT.format(own), TUNED.format(own))
     return compare(
         entries, cases, DEFAULT.format(own), cases.plain, keep=keep, progress=f"report: {name}",
-        measure=measure,
+        measure=measure, blind=blind,
     )  # fmt: skip
 
 
@@ -239,6 +346,69 @@ def _known(settings: StudySettings, name: str) -> list[Entry]:
     space = settings.problem.find(own).space
     fits = values and set(values) <= set(space.names) and own in study.referred
     return [Entry(KNOWN.format(own), own, values)] if fits else []
+
+
+# ---- whether it holds
+
+
+@dataclass(frozen=True)
+class Held:
+    """How the winner did on what nobody tuned on.
+
+    Args:
+        kept_default: whether the defaults are kept in its place.
+        said: that, in a sentence or two; "" where the choice on validation seeds has said it all.
+    """
+
+    kept_default: bool = False
+    said: str = ""
+
+
+def how_it_held(
+    settings: StudySettings, reports: Mapping[str, Comparison], cases: Mapping[str, Cases]
+) -> Held:
+    """Whether real recordings that nobody tuned on speak for the winner or for the defaults.
+
+    By what was foretold there, where the study saw no truth; else by the truth.
+    """
+    if settings.simulated:
+        return Held()
+    own, usual = TUNED.format(settings.filter), DEFAULT.format(settings.filter)
+    pairs, said, what = [], [], ""
+    for name, found in reports.items():
+        quantity, values = _told(found, cases[name], is_blind(settings, cases[name]))
+        pair, what = (values(own), values(usual)), quantity.label
+        pairs.append(pair)
+        where = f"{name}: " if len(reports) > 1 else ""
+        said.append(f"{where}{pair[0]:.4g} {quantity.unit}, with the defaults {pair[1]:.4g} {quantity.unit}")  # fmt: skip
+    told = "; ".join(said)
+    lost, bad = (any(not math.isfinite(pair[i]) for pair in pairs) for i in (0, 1))
+    if lost and bad:
+        return Held(True, "Tuned or not, the filter diverges on the part never tuned on: the defaults are kept, and neither is to be trusted. Look at units, noise and model first.")  # fmt: skip
+    if lost:
+        return Held(True, "The tuned parameters diverge on the part never tuned on: the defaults are kept.")  # fmt: skip
+    if bad:
+        return Held(False, "The defaults diverge on the part never tuned on, the tuned parameters do not.")  # fmt: skip
+    if all(a == b for a, b in pairs):
+        return Held(False, "Nothing that was tried is better than the defaults.")  # fmt: skip
+    share = float(np.mean([a / b for a, b in pairs]))
+    if share > 1.0:
+        return Held(True, f"The tuned parameters do not hold on the part never tuned on, where they do worse in the {what} ({told}): the defaults are kept.")  # fmt: skip
+    return Held(False, f"The tuned parameters hold on the part never tuned on: {what} {told}.")  # fmt: skip
+
+
+def _told(
+    found: Comparison, cases: Cases, blind: bool
+) -> tuple[Measure | Quantity, Callable[[str], float]]:
+    """What decides on a report's recordings, and its mean by label; infinite where a filter diverges."""
+    name = cases.foretold.name
+    beside = blind and name in found.quantities
+
+    def value(label: str) -> float:
+        mean = found.beside[label][name] if beside else found[label].mean
+        return math.inf if found[label].diverges else mean
+
+    return (cases.foretold if beside else found.measure), value
 
 
 def _others(settings: StudySettings, cases: Cases) -> list[Entry]:

@@ -130,7 +130,7 @@ def by_regime(result: Result) -> tuple[tuple[str, ...], dict[str, Array]]:
 def regime_table(bench: Bench, result: Result) -> Table:
     """Errors by true regime."""
     names, errors = by_regime(result)
-    rows = [[k, *map(tables.metres, values.tolist())] for k, values in errors.items()]
+    rows = [[k, *map(tables.size, values.tolist())] for k, values in errors.items()]
     caption = f"{result.main.measure.axis}, over all samples of a true regime, switches included."
     return Table(["in regime", *names], rows, caption, marks(bench, errors))
 
@@ -192,7 +192,7 @@ def error_table(bench: Bench, results: Sequence[Result]) -> Table:
 def _error(found: Comparison, label: str) -> str:
     if label not in found:
         return tables.NOTHING
-    text = "diverges" if found[label].diverges else tables.metres(found[label].mean)
+    text = "diverges" if found[label].diverges else tables.size(found[label].mean)
     return f"**{text}**" if label == words.best(found).label else text
 
 

@@ -39,6 +39,42 @@ def test_flags_say_what_is_varied_held_and_where():
     assert stages(settings).train["auv/switch-D"].about["overrides"] == {"loss": "0.3"}
 
 
+def names(settings):
+    cases = stages(settings).train
+    return [p.name for p in settings.parameters(next(iter(cases.values())).space(settings.filter))]
+
+
+def test_on_a_log_of_two_sensors_each_has_a_noise_scale(tmp_path):
+    log, fixes = tmp_path / "log.csv", tmp_path / "fixes.csv"
+    log.write_text(LOG)
+    fixes.write_text("time,px,py\n" + "".join(f"{k},{k}.5,{2 * k}.5\n" for k in range(40)))
+    both = ["process_noise_scale", "position_noise_scale", "velocity_noise_scale"]
+    assert names(StudySettings(filter="kf", log=(log,))) == both
+    assert names(StudySettings(filter="kf", log=(fixes,))) == ["process_noise_scale", "measurement_noise_scale"]  # fmt: skip
+    own = StudySettings(filter="kf", log=(log,), free=("velocity_noise_scale",))
+    assert names(own) == ["velocity_noise_scale"]
+    wrong = StudySettings(filter="kf", log=(log,), free=("velocty_noise_scale",))
+    with pytest.raises(ValueError, match="Did you mean 'velocity_noise_scale'"):
+        names(wrong)
+    assert [p.name for p in StudySettings(filter="kf").parameters()] == ["process_noise_scale", "measurement_noise_scale"]  # fmt: skip
+
+
+def test_noise_scales_may_go_beyond_their_usual_range_with_a_word(tmp_path):
+    wide = StudySettings(filter="kf", range={"process_noise_scale": (1e-5, 10.0)})
+    (said,) = wide.beyond()
+    assert said == "process_noise_scale is searched from 1e-05 to 10, beyond its usual 0.1 to 1000"
+    assert StudySettings(filter="kf", range={"process_noise_scale": (1.0, 10.0)}).beyond() == []
+    with pytest.raises(ValueError, match=r"range of forgetting must be low < high inside 0\.6"):
+        StudySettings(range={"forgetting": (0.1, 0.9)})
+    log = tmp_path / "log.csv"
+    log.write_text(LOG)
+    for p in StudySettings(filter="kf", log=(log,)).parameters():
+        assert (p.low, p.high) == (
+            1e-4,
+            1e4,
+        )  # a log's model is the reader's default as often as not
+
+
 def test_a_file_holds_what_flags_say_and_flags_override_it(tmp_path):
     asked = parse("--trials", "7", "--scenario", "auv/heavy", "--fix", "vb_iterations", "3",
                   "--range", "forgetting", "0.7", "0.9", "--out", str(tmp_path))  # fmt: skip

@@ -105,16 +105,80 @@ def test_an_earlier_result_is_tried_right_after_the_defaults(tmp_path, found):
         tune.run(small(tmp_path / "other", trials=2, filter="kf", start=start))
 
 
-def test_a_log_without_truth_is_tuned_by_likelihood(tmp_path):
-    recording = navgym.simulate("auv/mismatch", seed=3, steps=300)
-    blind = navgym.Recording(recording.time, recording.measurements, model=recording.model)
-    log = tmp_path / "log.csv"
-    write_csv(blind, log)
-    made = tune.run(small(tmp_path / "out", filter="kf", log=(log,), trials=20))
-    assert made.reports["logs"].measure.name == "likelihood"
-    # the reader believes white acceleration of its own; a better fit to the motion is more likely
-    assert made.reports["logs"].difference(made.tuned, made.default).mean_difference < 0.0
+def blind_log(path, scenario="auv/mismatch", seed=3, steps=300, **overrides):
+    recording = navgym.simulate(scenario, seed=seed, steps=steps, **overrides)
+    write_csv(navgym.Recording(recording.time, recording.measurements, model=recording.model), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def logged(tmp_path_factory):
+    """A study on one log without truth, and its report."""
+    out = tmp_path_factory.mktemp("log")
+    log = blind_log(out / "log.csv")
+    made = tune.run(small(out / "out", filter="kf", log=(log,), trials=20))
     tune_report.write(made)
+    return made
+
+
+def test_a_log_without_truth_is_tuned_by_the_one_step_error_of_its_fixes(logged):
+    found = logged.reports["logs"]
+    assert found.measure.name == "fixes"
+    assert {"nll"} == set(found.quantities)
+    # the reader believes white acceleration of its own; a better fit to the motion foretells better
+    assert found.difference(logged.tuned, logged.default).mean_difference < 0.0
+    assert not logged.held.kept_default
+    assert logged.values == logged.winner
+
+
+def test_what_a_one_step_error_cannot_see_is_chosen_by_nis(logged):
+    (name,) = logged.stages.select
+    cases = logged.stages.select[name]
+    nis, _ = cases.consistency("kf", logged.winner)
+    assert nis.mean == pytest.approx(1.0, rel=0.05)  # P0 does not take part
+    before = {k: v / logged.calibrated for k, v in logged.winner.items()}
+    told = [
+        cases.judge("kf", v, ("fixes",)).quantities["fixes"][0] for v in (before, logged.winner)
+    ]
+    assert told[0] == pytest.approx(told[1], rel=0.005)
+
+
+def test_the_report_of_a_log_speaks_of_metres_and_nats_and_bands(logged):
+    text = tune_report.summary(logged)
+    assert "one-step error of the position fixes, m" in text
+    assert "innovation NLL, nats per component" in text
+    assert re.search(r"NIS \(0\.\d\d … 1\.\d\d\)", text)
+    assert "The tuned parameters hold on the part never tuned on" in text
+    assert "A likelihood is no position error" in text
+    assert "one recording: no interval over recordings" in text.lower()
+    assert "NEES (" not in text
+
+
+def test_parameters_that_do_not_hold_on_the_rest_of_the_log_are_not_kept(tmp_path):
+    """The first 70 % move as a model says, the rest not at all like it: tuned for calm, worse there."""
+    rng = np.random.default_rng(0)
+    acceleration = rng.normal(size=(600, 2)) * np.where(np.arange(600) < 420, 0.001, 0.5)[:, None]
+    position = acceleration.cumsum(axis=0).cumsum(axis=0) + rng.normal(size=(600, 2))
+    log = tmp_path / "log.csv"
+    rows = "".join(f"{k},{x:.4f},{y:.4f}\n" for k, (x, y) in enumerate(position))
+    log.write_text(f"time,px,py\n{rows}")
+    made = tune.run(small(tmp_path / "out", filter="kf", log=(log,), trials=30))
+    assert made.held.kept_default
+    tune_report.write(made)
+    assert "do not hold" in tune_report.summary(made)
+    kept = tomllib.loads((tmp_path / "out/tuned.toml").read_text())
+    assert kept["parameters"] == made.space.defaults
+    assert "do not hold" in kept["provenance"]["held"]
+    assert "do not hold" in (tmp_path / "out/report.html").read_text()
+
+
+def test_a_log_with_little_in_it_ends_in_words(tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_text(
+        "time,px,py\n" + "".join(f"{k},{k}.0,1.0\n" for k in range(6)) + "6,,\n7,,\n8,,\n"
+    )
+    with pytest.raises(ValueError, match=r"between 70% and 100% .*Use a longer recording"):
+        tune.run(small(tmp_path / "out", filter="kf", log=(log,), trials=4))
 
 
 def test_tuned_without_truth_the_real_tracks_are_tracked_better_than_by_default(akit, tmp_path):
@@ -125,7 +189,7 @@ def test_tuned_without_truth_the_real_tracks_are_tracked_better_than_by_default(
         assert comparison.measure.name == "rmse"
         assert comparison.difference(made.tuned, made.default).gain_low > 0.0
         assert "vbakf, tuned with the truth" in comparison
-    assert {m.measure.name for m in made.goal.members} == {"likelihood"}
+    assert {m.measure.name for m in made.goal.members} == {"fixes"}
 
 
 def test_headroom_is_what_the_true_regime_is_worth(tmp_path):

@@ -41,6 +41,8 @@ def main(words: Sequence[str]) -> int:
     began = time.perf_counter()
     default, rest = configured(StudySettings, words)
     settings = parse(StudySettings, "tune", ABOUT, rest, default)
+    for line in settings.beyond():
+        print(line)
     try:
         found = tune.run(settings)
     except Interrupted as stop:

@@ -67,10 +67,17 @@ class Table:
 
 @dataclass(frozen=True)
 class Figure:
-    """An inline drawing (SVG source) with what to see in it."""
+    """An inline drawing (SVG source) with what to see in it.
+
+    Args:
+        svg: for screens that are wide.
+        caption: what to see.
+        narrow: the same with less width and letters of the same size, for a telephone.
+    """
 
     svg: str
     caption: str
+    narrow: str = ""
 
 
 @dataclass(frozen=True)
@@ -85,13 +92,23 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """A whole report."""
+    """A whole report.
+
+    Args:
+        title: of the page.
+        lede: what came out, in sentences.
+        sections: the parts.
+        tiles: numbers that are shown large.
+        provenance: what it rests on.
+        banner: what the reader must know first, such as that a run was shortened; "" for nothing.
+    """
 
     title: str
     lede: Sequence[str]
     sections: Sequence[Section]
     tiles: Sequence[Tile] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    banner: str = ""
 
 
 def write_page(path: Path, page: Page) -> Path:
@@ -103,10 +120,16 @@ def write_page(path: Path, page: Page) -> Path:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.filters |= {"rich": _rich, "figure": lambda f: Markup(f.svg)}  # noqa: S704 - ours
+    environment.filters |= {"rich": _rich, "figure": _drawn}
     environment.tests["table"] = lambda item: isinstance(item, Table)
     html = environment.get_template("report.html").render(page=page)
     return write_text(path, html)
+
+
+SHORTENED = (
+    "Shortened with --quick: few recordings and trials, only to see it run. **Do not quote these "
+    "numbers**; the same command without --quick makes those."
+)
 
 
 def write_json(path: Path, value: Any) -> Path:
@@ -130,6 +153,13 @@ def provenance(command: str, **settings: Any) -> dict[str, Any]:
         | {name: metadata.version(name) for name in LIBRARIES},
         **settings,
     }
+
+
+def _drawn(figure: Figure) -> Markup:
+    if not figure.narrow:
+        return Markup(figure.svg)  # noqa: S704 - ours
+    wide, narrow = (f'<div class="{k}">{v}</div>' for k, v in (("wide", figure.svg), ("narrow", figure.narrow)))  # fmt: skip
+    return Markup(wide + narrow)  # noqa: S704 - ours
 
 
 def _rich(text: str) -> Markup:

@@ -25,6 +25,7 @@ from navgym.core.checks import Array
 from navgym.statespace.recording import Recording
 from navgym.tuning.comparison import Comparison, Row
 from navgym.tuning.report.page import Figure
+from navgym.tuning.report.tables import best_label, by_mean
 from navgym.tuning.study.run import Outcome
 
 INK = "#010203"  # stands for the page's text colour
@@ -33,6 +34,8 @@ BEST, OWN, PLAIN, BAD = "#2a9268", "#d9822b", "#4a83c4", "#c9483c"
 MORE = ("#8d6bb8", "#2f9aa8", "#b0892e", "#c05f93")
 TINTS = ("#8b93a0", "#d9822b", "#4a83c4", "#8d6bb8", "#2a9268")  # of regimes
 WIDTH = 10.0  # inches; the page scales it
+# inches of the same drawing on a telephone, per column of panels beside the first
+NARROW, COLUMN = 4.8, 1.3
 
 STYLE: dict[Any, Any] = {
     "svg.fonttype": "path",
@@ -67,11 +70,20 @@ def drawing(caption: str, height: float, **grid: Any) -> Iterator[tuple[Any, lis
     with mpl.rc_context(STYLE):
         canvas = Canvas(figsize=(WIDTH, height), layout="constrained")
         yield canvas.subplots(**grid), made
-        buffer = io.StringIO()
-        canvas.savefig(buffer, format="svg", metadata={"Date": None})
-    svg = buffer.getvalue()
-    svg = svg[svg.index("<svg") :].replace(INK, "currentColor")
-    made.append(Figure(svg, caption))
+        wide = _svg(canvas)
+        canvas.set_size_inches(NARROW + COLUMN * (grid.get("ncols", 1) - 1), height)
+        for legend in filter(None, (axes.get_legend() for axes in canvas.axes)):
+            legend.set_ncols(min(2, legend._ncols))
+        mpl.rcParams["svg.hashsalt"] = "navgym, narrow"  # both stand on one page
+        made.append(Figure(wide, caption, _svg(canvas)))
+
+
+def _svg(canvas: Canvas) -> str:
+    """The drawing as SVG in the page's colours."""
+    buffer = io.StringIO()
+    canvas.savefig(buffer, format="svg", metadata={"Date": None})
+    text = buffer.getvalue()
+    return text[text.index("<svg") :].replace(INK, "currentColor")
 
 
 def color_of(row: Row, best: str = "", own: Sequence[str] = ()) -> str:
@@ -94,23 +106,26 @@ def ladder(found: Comparison, own: Sequence[str], caption: str, ranked: bool = T
     Bars that would leave the others invisible are cut, and say so. Not `ranked`, the bars keep the
     comparison's own order.
     """
-    rows = sorted(found.rows, key=lambda r: r.mean) if ranked else list(found.rows)
-    reach = _reach(rows)
-    best = min((r for r in rows if not r.bound), key=lambda r: r.mean).label
+    rows = sorted(found.rows, key=by_mean) if ranked else list(found.rows)
+    best = best_label(found.rows)
+    bars = found.measure.relative
+    low, reach = (0.0, _reach(rows)) if bars else _span(rows)
     with drawing(caption, 0.6 + 0.34 * len(rows)) as (axes, made):
         for i, row in enumerate(rows):
-            _bar(axes, i, row, reach, color_of(row, best, own))
+            _bar(axes, i, row, low, reach, color_of(row, best, own), bars)
         axes.set_yticks(range(len(rows)), [_named(r) for r in rows])
-        axes.invert_yaxis()
-        axes.set_xlim(0.0, reach * 1.17)
-        axes.set_xlabel(f"{found.measure.axis}: mean over runs")
+        axes.set_ylim(len(rows) - 0.5, -0.5)
+        axes.set_xlim(low, low + (reach - low) * 1.17)
+        axes.set_xlabel(
+            f"{found.measure.axis}: mean over runs" if found.runs > 1 else found.measure.axis
+        )
         axes.tick_params(axis="y", length=0)
         axes.grid(axis="x")
         axes.set_axisbelow(True)
         axes.spines["left"].set_visible(False)
-        bound = min((r for r in rows if r.bound), key=lambda r: r.mean, default=None)
-        if bound is not None:
-            axes.axvline(bound.mean, color=FAINT, lw=1.0, ls=(0, (4, 3)))
+        bounds = [r.mean for r in rows if r.bound and np.isfinite(r.mean)]
+        if bounds:
+            axes.axvline(min(bounds), color=FAINT, lw=1.0, ls=(0, (4, 3)))
     return made[0]
 
 
@@ -118,33 +133,61 @@ def _named(row: Row) -> str:
     return f"{row.label} (bound)" if row.bound else row.label
 
 
+def _ends(row: Row) -> tuple[float, float]:
+    """A row's interval, or its mean twice where it has none."""
+    known = np.isfinite(row.low) and np.isfinite(row.high)
+    return (row.low, row.high) if known else (row.mean, row.mean)
+
+
 def _reach(rows: Sequence[Row]) -> float:
     """Length that shows the contenders which work: at most four times their median."""
     sound = sorted((r for r in rows if not r.diverges), key=lambda r: r.mean)
-    shown = [r for r in sound if r.mean <= 4.0 * sound[len(sound) // 2].mean]
-    return 1.05 * max(float(np.nanmax([r.mean, r.high])) for r in shown)
+    if not sound:
+        return 1.0
+    shown = [r for r in sound if r.mean <= 4.0 * sound[len(sound) // 2].mean] or sound
+    return 1.05 * max(_ends(r)[1] for r in shown) or 1.0
 
 
-def _bar(axes: Axes, i: int, row: Row, reach: float, color: str) -> None:
+def _span(rows: Sequence[Row]) -> tuple[float, float]:
+    """Ends that show the contenders which work, of a measure that may be negative: no further from the
+    best than four times the median one.
+    """
+    sound = sorted((r for r in rows if not r.diverges), key=lambda r: r.mean)
+    if not sound:
+        return 0.0, 1.0
+    best, middle = sound[0].mean, sound[len(sound) // 2].mean
+    shown = [r for r in sound if r.mean - best <= max(4.0 * (middle - best), 1e-9)]
+    low, high = min(_ends(r)[0] for r in shown), max(_ends(r)[1] for r in shown)
+    margin = 0.08 * (high - low) or 0.1 * max(abs(low), 1e-3)
+    return low - margin, high + margin
+
+
+def _bar(axes: Axes, i: int, row: Row, low: float, reach: float, color: str, bar: bool) -> None:
     cut = not row.mean <= reach
-    length = reach if cut else row.mean
+    end, width = (reach if cut else row.mean), reach - low
     face = (color, 0.0 if row.bound else 0.25 if row.diverges else 0.9)
-    axes.barh(i, length, 0.66, facecolor=face, edgecolor=color, lw=1.0)
-    if not cut and np.isfinite(row.high):
-        axes.plot([row.low, row.high], [i, i], color=INK, lw=1.4, solid_capstyle="butt")
-    text = f"{row.mean:.3f}" if not cut else f"{row.mean:,.0f} →"
+    if bar:
+        axes.barh(i, end, 0.66, facecolor=face, edgecolor=color, lw=1.0)
+    else:
+        axes.plot(end, i, ">" if cut else "o", mfc=face, mec=color, ms=8)
+    first, last = _ends(row)
+    if not cut and last > first:
+        axes.plot([first, last], [i, i], color=INK, lw=1.4, solid_capstyle="butt")
+    text = f"{row.mean:z.3f}" if not cut else f"{row.mean:,.4g} →"
     if not np.isfinite(row.mean):
         text = "no number →"
     if row.diverges:
         text += f"  {100 * row.divergence_rate:.0f} % of runs diverge"
     inside = cut and row.diverges
-    x, side = (reach * 0.985, "right") if inside else (length + 0.012 * reach, "left")
-    x = x if cut else max(x, row.high + 0.012 * reach)
+    x, side = (low + 0.985 * width, "right") if inside else (end + 0.012 * width, "left")
+    x = x if cut or not np.isfinite(last) else max(x, last + 0.012 * width)
     axes.text(x, i, text, va="center", ha=side)
 
 
 def plain_log(axes: Axes) -> None:
     """Logarithmic y axis of what is drawn, with plain numbers at a few steps per decade."""
+    if axes.get_ylim()[1] <= 0.0:  # nothing was drawn that has a logarithm
+        return
     axes.set_yscale("log")
     low, high = axes.get_ylim()
     decades = np.log10(high / low)
@@ -277,8 +320,10 @@ def after_switch(
             axes.set_title(f"into {name} ({len(places)})")
             axes.set_xlabel("s after the switch")
             axes.grid(axis="y")
-        if curves:  # bands may reach far below
-            panels[0][0].set_ylim(0.8 * np.min(curves), 1.25 * np.max(curves))
+        drawn = [c[np.isfinite(c) & (c > 0.0)] for c in curves]
+        if any(map(len, drawn)):  # bands may reach far below
+            ends = np.concatenate(drawn)
+            panels[0][0].set_ylim(0.8 * ends.min(), 1.25 * ends.max())
         plain_log(panels[0][0])
         for axes in panels[:, 0]:
             axes.set_ylabel(axis)
@@ -298,7 +343,10 @@ def _switches(
 
 def _band(axes: Axes, x: NDArray[Any], windows: Array, color: str, label: str) -> Array:
     """Draw the RMS of windows (N, T) with its 95 % band; returns it, (T,)."""
-    mean = windows.mean(axis=0)
+    with np.errstate(invalid="ignore"):
+        mean = np.where(np.isfinite(windows), windows, np.nan).mean(
+            axis=0
+        )  # a failure leaves a gap
     half = 1.96 * windows.std(axis=0, ddof=1) / np.sqrt(len(windows))
     least = mean / 100.0  # a band that reaches 0 has no lower end on a logarithmic axis
     axes.fill_between(
@@ -318,8 +366,8 @@ def history(
 ) -> Figure:
     """Every trial, the best so far, and where the defaults stand; what is far off is cut."""
     results = np.array([t.result for t in outcome.trials])
-    count, low = np.arange(1, len(results) + 1), results.min()
-    top = max(1.8 * low, 1.2 * default)
+    count = np.arange(1, len(results) + 1)
+    low, top = history_span(results, default)
     with drawing(caption, 2.9) as (axes, made):
         near = results <= top
         axes.scatter(count[near], results[near], s=16, color=FAINT, alpha=0.8, lw=0, label="trial")
@@ -342,6 +390,18 @@ def history(
         axes.grid(axis="y")
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=9)
     return made[0]
+
+
+def history_span(results: Array, default: float) -> tuple[float, float]:
+    """Lowest result, and where the axis is cut: some way above the defaults, if they came to a number."""
+    known = results[np.isfinite(results)]
+    low = float(known.min()) if len(known) else 0.0
+    middle = float(np.median(known)) if len(known) else 1.0
+    usual = default if np.isfinite(default) else middle
+    top = max(low + 0.8 * abs(low), usual + 0.2 * abs(usual))
+    if low < 0.0:  # a logarithm: nothing to take shares of
+        top = max(usual, middle) + 0.2 * (max(usual, middle) - low)
+    return low, top if top > low else low + 1.0
 
 
 # ---- real tracks
@@ -403,6 +463,12 @@ def _longest_gap(lost: NDArray[np.bool_], window: int) -> int:
     return int(np.clip(start + length // 2 - window // 2, 0, max(len(lost) - window, 0)))
 
 
+def _height(row: Row) -> tuple[float, float]:
+    """Height of a bar and half its interval; none where there is no number."""
+    half = row.high - row.mean
+    return row.mean if np.isfinite(row.mean) else 0.0, half if np.isfinite(half) else 0.0
+
+
 def by_loss(
     found: Mapping[str, Comparison], labels: Sequence[str], colors: Mapping[str, str], caption: str
 ) -> Figure:
@@ -413,8 +479,7 @@ def by_loss(
         for j, label in enumerate(labels):
             rows = [comparison[label] for comparison in found.values()]
             x = places + (j - (len(labels) - 1) / 2) * step
-            mean = np.array([r.mean for r in rows])
-            half = np.array([r.high - r.mean for r in rows])
+            mean, half = (np.array(a) for a in zip(*map(_height, rows), strict=True))
             axes.bar(x, mean, step * 0.86, yerr=half, color=colors[label], ecolor=INK, label=label)
         axes.set_xticks(places, list(found))
         axes.set_ylabel("position RMSE, m")

@@ -12,8 +12,8 @@ import tomli_w
 from navgym.core.checks import Array
 from navgym.tuning import declared
 from navgym.tuning.cases import Cases
-from navgym.tuning.comparison import Comparison
-from navgym.tuning.objectives import Costed, Objective, Pooled
+from navgym.tuning.comparison import LEAST, Comparison
+from navgym.tuning.objectives import Costed, Pooled
 from navgym.tuning.report import page as report
 from navgym.tuning.report import plots, study_plots, tables, words
 from navgym.tuning.report.page import Figure, Page, Section, Table, Tile
@@ -56,8 +56,15 @@ def summary(found: Findings) -> str:
     parts = []
     for name, comparison in found.reports.items():
         parts += [f"{name}:", tables.ladder(comparison, (found.tuned,)).as_text(), ""]
+        parts += [_how_sure(comparison), ""]
     values = ", ".join(f"{k} {tables.value(v)}" for k, v in found.values.items())
-    parts += [_gain_line(found), f"tuned: {values}", *_plain_findings(found)]
+    kept = "kept, the defaults" if found.held.kept_default else "tuned"
+    parts += [
+        _gain_line(found),
+        *_about_winner(found),
+        f"{kept}: {values}",
+        *_plain_findings(found),
+    ]
     parts.append(f"written to {found.settings.out}: {PAGE}, {RESULTS}, {TUNED_FILE}")
     return "\n".join(parts)
 
@@ -67,7 +74,7 @@ def so_far(settings: StudySettings, outcome: Outcome) -> str:
     best = outcome.best
     return (
         f"stopped after {len(outcome.trials)} of {settings.amount.trials} trials: the best so far has "
-        f"{best.result:.4g} on the training recordings, with {dict(best.values)}\n"
+        f"{best.result:z.4g} on the training recordings, with {dict(best.values)}\n"
         "finished trials are kept: the same command goes on from there"
     )
 
@@ -87,6 +94,7 @@ def tuned_toml(found: Findings, basis: Mapping[str, Any]) -> str:
             **basis,
             "goal": _without_none(found.goal.about),
             "gain over defaults": gains,
+            "held": found.held.said or "chosen on validation seeds",
         },
     }
     return (
@@ -101,10 +109,9 @@ def _number(value: Any) -> Any:
 
 def _gain(found: Comparison, label: str) -> str:
     d = found.difference(label, found.reference)
-    text = f"{100 * d.relative_gain:.1f} %"
-    return text + (
-        f" ({100 * d.gain_low:.1f} to {100 * d.gain_high:.1f})" if np.isfinite(d.gain_low) else ""
-    )
+    if found[label].diverges or not np.isfinite(d.relative_gain):
+        return tables.NOTHING
+    return words.amount(found, d)
 
 
 def _without_none(value: Any) -> Any:
@@ -118,12 +125,14 @@ def _without_none(value: Any) -> Any:
 
 def results(found: Findings, basis: Mapping[str, Any]) -> dict[str, Any]:
     """Everything measured, as JSON; times are the machine's, the rest is repeatable."""
-    return {
+    whole = {
         "provenance": dict(basis),
         "settings": declared.own(found.settings),
         "goal": found.goal.about,
         "trials": [asdict(t) | {"values": dict(t.values)} for t in found.outcome.trials],
-        "chosen": {"number": found.chosen.number, "values": found.values, "result": found.chosen.result},
+        "chosen": {"number": found.chosen.number, "values": found.winner, "result": found.chosen.result},
+        "held": found.held.said, "defaults kept": found.held.kept_default, "values": found.values,
+        "all noise scales times": found.calibrated,
         "front": [t.number for t in found.outcome.front] if found.settings.cost else None,
         "reports": {name: c.as_dict() for name, c in found.reports.items()},
         "importances": dict(found.importances),
@@ -133,6 +142,17 @@ def results(found: Findings, basis: Mapping[str, Any]) -> dict[str, Any]:
             for name, c in found.reports.items()
         },
     }  # fmt: skip
+    without: dict[str, Any] = _without_nan(whole)
+    return without
+
+
+def _without_nan(value: Any) -> Any:
+    """JSON has no NaN and no infinity."""
+    if isinstance(value, Mapping):
+        return {k: _without_nan(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_without_nan(v) for v in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _sweep(s: Sweep) -> dict[str, Any]:
@@ -152,7 +172,10 @@ def page(found: Findings, basis: Mapping[str, Any]) -> Page:
     where = ", ".join(found.stages.train)
     return Page(
         f"Parameters of {settings.filter} for {where}",
-        [*(_verdict(found, name) for name in found.reports), f"{_how(found)}"],
+        [
+            *_about_winner(found, "**"), *(_verdict(found, name) for name in found.reports),
+            _how(found),
+        ],
         [*_comparisons(found), _parameters(found), _study(found), _what_matters(found)],
         _tiles(found),
         basis,
@@ -180,23 +203,69 @@ def _how(found: Findings) -> str:
 
 def _axis(found: Findings) -> str:
     goal = found.goal.goal if isinstance(found.goal, Costed) else found.goal
-    if isinstance(goal, Pooled):
-        return f"{goal.members[0].measure.label} over the plain filter's"
-    assert isinstance(goal, Objective)
-    return goal.measure.axis
+    if not isinstance(goal, Pooled):
+        return found.measure.axis
+    return (
+        f"{found.measure.label} {'over' if found.measure.relative else 'less'} the plain filter's"
+    )
 
 
 def _tiles(found: Findings) -> list[Tile]:
     made = []
     for name, c in found.reports.items():
-        made.append(Tile(_gain(c, found.tuned).split(" (")[0], f"less than default, {name}", "own"))
+        text = _gain(c, found.tuned).split(", ")[0]
+        if text != tables.NOTHING:
+            made.append(Tile(text, f"gain over the defaults, {name}", "own"))
     first = next(iter(found.reports.values()))
     unit = first.measure.unit
     for label, kind in ((found.tuned, "own"), (found.default, "")):
-        made.append(
-            Tile(f"{first[label].mean:.3f} {unit}".strip(), f"{label}, {first.measure.label}", kind)
-        )
+        row = first[label]
+        text = "diverges" if row.diverges else f"{row.mean:z.3f} {unit}".strip()
+        made.append(Tile(text, f"{label}, {first.measure.label}", kind))
     return made
+
+
+def _about_winner(found: Findings, strong: str = "") -> list[str]:
+    """Whether the winner holds, what NIS chose, and whether it stands at the end of a range."""
+    said = []
+    if found.held.said:
+        said.append(f"{strong}{found.held.said}{strong}")
+    if found.calibrated is not None:
+        said.append(
+            f"All noise scales of the winner were multiplied by {found.calibrated:.3g}, so that NIS is 1 "
+            "on the recordings that chose it: that moves its covariances, not its estimates."
+        )
+    edges = [s.parameter.name for s in found.sweeps if s.at_edge]
+    if edges:
+        verb, whose = ("stands", "its") if len(edges) == 1 else ("stand", "their")
+        names = words.listed(edges) if strong else " and ".join(edges)
+        at = f"{names} {verb} at the end of {whose} range"
+        said.append(f"{strong}{at}{strong}: a wider one (--range) may do better.")
+    if any(
+        c.measure.parts[0].name == "nll" or "nll" in c.quantities for c in found.reports.values()
+    ):
+        said.append(CAVEAT)
+    return said
+
+
+CAVEAT = (
+    "A likelihood is no position error: it says how well a filter knows its own noise, and parameters "
+    "that are more likely have been found to be worse in position as often as better."
+)
+
+
+def _how_sure(c: Comparison) -> str:
+    """What intervals are over, or why there are none; and the bands."""
+    if c.intervals == "recordings":
+        text = "Intervals over recordings, 95 %."
+    elif c.intervals:
+        text = (
+            f"{words.without_interval(c)} over recordings; those here are along the log, from blocks of it, "
+            "and speak of this log only."
+        )
+    else:
+        text = f"{words.without_interval(c)}."
+    return f"{text[0].upper()}{text[1:]} NIS and NEES per degree of freedom: 1 is right, ↑ and ↓ are outside the 95 % band."  # fmt: skip
 
 
 def _comparisons(found: Findings) -> list[Section]:
@@ -204,14 +273,18 @@ def _comparisons(found: Findings) -> list[Section]:
 
 
 def _comparison(found: Findings, name: str, c: Comparison) -> Section:
-    runs = len(next(iter(c.errors.values())))
-    bars = plots.ladder(
-        c, (found.tuned,), f"Mean over {runs} fresh recordings, with its 95 % interval. Pale and cut: diverges."
-    )  # fmt: skip
-    note = (
-        "Gains are paired (same recordings), intervals from BCa bootstrap, p from sign flips. Times are "
-        "this machine's."
+    what = (
+        f"Mean over {c.runs} fresh recordings"
+        if c.runs > 1
+        else "One recording, the part never tuned on"
     )
+    ends = {
+        "recordings": ", with its 95 % interval",
+        "blocks": ", with 95 % intervals along the log",
+    }
+    lost = " Pale and cut: diverges." if any(r.diverges for r in c.rows) else ""
+    bars = plots.ladder(c, (found.tuned,), f"{what}{ends.get(c.intervals, '')}.{lost}")
+    note = f"Gains are paired (same recordings). {_how_sure(c)} Times are this machine's."
     items: list[Table | Figure] = [bars, tables.ladder(c, (found.tuned,), note)]
     items.append(_over_time(found, c, found.stages.report[name]))
     return Section(f"On fresh data: {name}", [], items)
@@ -223,16 +296,18 @@ def _over_time(found: Findings, c: Comparison, cases: Cases) -> Figure:
     traces: dict[str, Array] = {
         label: c.squared[label][:, : len(time)] for label in (found.default, found.tuned)
     }
-    axis = f"{quantity.label}, {quantity.unit}" if quantity.unit else quantity.label
+    axis = quantity.axis
     colors = {found.default: plots.PLAIN, found.tuned: plots.OWN}
-    caption = f"{quantity.label} over time, over all fresh recordings, with 95 % bands over runs."
-    return study_plots.over_time(time, traces, colors, axis, caption, quantity.needs_truth)
+    over = f", over {c.runs} fresh recordings, with 95 % bands over them" if c.runs > 1 else ""
+    caption = f"{quantity.label[0].upper()}{quantity.label[1:]} over time{over}."
+    squared = quantity.name not in ("nll", "nis")
+    return study_plots.over_time(time, traces, colors, axis, caption, squared)
 
 
 def _parameters(found: Findings) -> Section:
-    space = found.settings.problem.find(found.settings.filter).space
+    space = found.space
     sets: dict[str, Mapping[str, Any]] = {
-        "default": space.defaults, "tuned": space.defaults | found.values,
+        "default": space.defaults, "tuned": space.defaults | found.winner,
     }  # fmt: skip
     for c in found.reports.values():
         for row in c.rows:
@@ -241,14 +316,10 @@ def _parameters(found: Findings) -> Section:
                 found.tuned,
             ):
                 sets[row.label.partition(", ")[2] or row.label] = row.parameters
+    which = "default" if found.held.kept_default else "tuned"
     text = [
-        f'`{TUNED_FILE}` holds the tuned ones: `navgym.estimate("{found.settings.filter}", recording, "{TUNED_FILE}")`.'
+        f'`{TUNED_FILE}` holds the {which} ones: `navgym.estimate("{found.settings.filter}", recording, "{TUNED_FILE}")`.'
     ]
-    edges = [s.parameter.name for s in found.sweeps if s.at_edge]
-    if edges:
-        text.append(
-            f"**At the end of its range**: {words.listed(edges)}. A wider range may do better."
-        )
     return Section("The parameters", text, [tables.parameters(space, sets, "")])
 
 
@@ -282,17 +353,23 @@ def _what_matters(found: Findings) -> Section:
             "share can also mean that the study hardly left the right value."
         )
         items.append(study_plots.importance(found.importances, dead, caption))
+    relative, unit = found.measure.relative, found.measure.unit
+    shown = "%" if relative else unit or "absolute"
+    cut = f"{study_plots.SHOWN:.0%}" if relative else f"{study_plots.SHOWN:g} {unit}".strip()
+    sure = ", with 95 % intervals of the paired change" if len(found.goal) >= LEAST else ""
     caption = (
         "Blue: the metric with one parameter moved and the others at the winner's (orange line), on the "
-        f"recordings that chose it, with 95 % intervals of the paired change, cut at {study_plots.SHOWN:.0%}; "
+        f"recordings that chose it{sure}, cut at {cut}; "
         "grey: all trials on the training recordings, against the best of them; green: where it is flat."
     )
-    items.append(study_plots.slices(found.sweeps, found.outcome, caption))
+    items.append(study_plots.slices(found.sweeps, found.outcome, caption, shown))
     names = list(found.importances)[:2]
     if len(names) == 2:
         caption = "The two leading parameters, from the trials; circled: the winner."
         items.append(
-            study_plots.contour(found.outcome, found.goal.space, (names[0], names[1]), found.chosen, caption)
+            study_plots.contour(
+                found.outcome, found.goal.space, (names[0], names[1]), found.chosen, caption, relative, shown
+            )
         )  # fmt: skip
     return Section("What matters, and what does not", _plain_findings(found, "**"), items)
 
@@ -305,16 +382,20 @@ def _plain_findings(found: Findings, strong: str = "") -> list[str]:
         if s.dead:
             lines.append(
                 f"{strong}{p.name} is a dead knob here{strong}: over its whole range the result moves by "
-                f"{100 * s.span:.2f} %."
+                f"{_change(s, s.span)}."
             )
         elif s.flat is not None:
             low, high = s.flat
             lines.append(
-                f"{strong}{p.name}{strong} is flat from {low:.3g} to {high:.3g}{unit}: within {100 * FLAT:.0f} %."
+                f"{strong}{p.name}{strong} is flat from {low:.3g} to {high:.3g}{unit}: within {_change(s, FLAT)}."
             )
     return lines
 
 
+def _change(s: Sweep, size: float) -> str:
+    return f"{100 * size:.2g} %" if s.relative else f"{size:.2g} nats per component"
+
+
 def _gain_line(found: Findings) -> str:
     gains = [f"{name}: {_gain(c, found.tuned)}" for name, c in found.reports.items()]
-    return f"gain of tuned over default, 95 % interval: {'; '.join(gains)}"
+    return f"gain of tuned over default: {'; '.join(gains)}"

@@ -31,19 +31,22 @@ def importance(shares: Mapping[str, float], dead: Sequence[str], caption: str) -
         colors = [FAINT if name in dead else OWN for name in names]
         axes.barh(range(len(names)), list(shares.values()), 0.62, color=colors)
         for i, name in enumerate(names):
-            text = f"{shares[name]:.2f}" + ("  dead" if name in dead else "")
+            text = f"{shares[name]:z.2f}" + ("  dead" if name in dead else "")
             axes.text(shares[name] + 0.01, i, text, va="center")
         axes.set_yticks(range(len(names)), names)
         axes.invert_yaxis()
-        axes.set_xlim(0.0, max(shares.values()) * 1.15)
+        axes.set_xlim(0.0, max(shares.values()) * 1.15 or 1.0)
         axes.set_xlabel("PED-ANOVA importance, share")
         axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_visible(False)
     return made[0]
 
 
-def slices(sweeps: Sequence[Sweep], outcome: Outcome, caption: str) -> Figure:
-    """Per parameter: the metric around the winner with its interval, and all trials behind it."""
+def slices(sweeps: Sequence[Sweep], outcome: Outcome, caption: str, unit: str = "%") -> Figure:
+    """Per parameter: the metric around the winner with its interval, and all trials behind it.
+
+    `unit` is that of changes: percent, or the metric's own where it has no shares.
+    """
     rows = -(-len(sweeps) // COLUMNS)
     grid: dict[str, Any] = {"nrows": rows, "ncols": min(COLUMNS, len(sweeps)), "squeeze": False}
     with drawing(caption, 2.6 * rows, **grid) as (panels, made):
@@ -53,29 +56,40 @@ def slices(sweeps: Sequence[Sweep], outcome: Outcome, caption: str) -> Figure:
             else:
                 _slice(axes, sweep, outcome)
         for row in panels:
-            row[0].set_ylabel("change against the winner, %")
+            row[0].set_ylabel(f"change against the winner, {unit}")
     return made[0]
 
 
 def _slice(axes: Axes, sweep: Sweep, outcome: Outcome) -> None:
     p = sweep.parameter
-    top = 100.0 * min(SHOWN, max(0.04, float(sweep.change.max()) * 1.25))
+    size = 100.0 if sweep.relative else 1.0
+    low, high, middle = (size * a for a in (sweep.low, sweep.high, sweep.change))
+    highest = float(np.max(middle, initial=0.0, where=np.isfinite(middle)))
+    top = min(size * SHOWN, max(0.04 * size, 1.25 * highest))
     x = np.array([p.warp(v) for v in sweep.values])
-    best = outcome.best.result
-    spread = 100.0 * (np.array([t.result for t in outcome.trials]) / best - 1.0)
+    spread = size * above_best(np.array([t.result for t in outcome.trials]), sweep.relative)
     places = [p.warp(float(p.check(t.values[p.name]))) for t in outcome.trials]
     axes.scatter(places, np.minimum(spread, top), s=7, color=FAINT, alpha=0.55, lw=0)
-    low, high, middle = (100.0 * a for a in (sweep.low, sweep.high, sweep.change))
     axes.fill_between(x, low, high, color=PLAIN, alpha=0.22, lw=0)
     axes.plot(x, middle, ".-", color=PLAIN, lw=1.5, ms=5)
     axes.axvline(p.warp(sweep.chosen), color=OWN, lw=1.3)
     if sweep.flat is not None:
         first, last = map(p.warp, sweep.flat)
         axes.axvspan(first, last, ymax=0.04, color=BEST, alpha=0.8, lw=0)
-    axes.set_ylim(min(-0.06 * top, 1.2 * float(low.min())), top * 1.04)
+    least = float(np.min(low, initial=0.0, where=np.isfinite(low)))
+    axes.set_ylim(min(-0.06 * top, 1.2 * max(least, -top)), top * 1.04)
     axes.set_title(p.name)
     _scale(axes, p, "x")
     axes.grid(axis="y")
+
+
+def above_best(results: Array, relative: bool) -> Array:
+    """How far results are above the smallest, as shares of it where that makes sense."""
+    known = results[np.isfinite(results)]
+    best = float(known.min()) if len(known) else 0.0
+    with np.errstate(invalid="ignore"):
+        over = results - best
+        return over / best if relative and best > 0.0 else over
 
 
 def _scale(axes: Axes, p: Parameter, which: str) -> None:
@@ -103,18 +117,22 @@ def _scale(axes: Axes, p: Parameter, which: str) -> None:
 
 
 def contour(
-    outcome: Outcome, space: ParameterSpace, names: tuple[str, str], chosen: Trial, caption: str
-) -> Figure:
-    """The objective over two parameters, from the trials, and where the winner stands."""
+    outcome: Outcome, space: ParameterSpace, names: tuple[str, str], chosen: Trial, caption: str,
+    relative: bool = True, unit: str = "%",
+) -> Figure:  # fmt: skip
+    """The objective over two parameters, from the trials, and where the winner stands.
+
+    Not `relative`, objectives are told as differences, in `unit`.
+    """
     first, second = (space[name] for name in names)
     x, y = (
         np.array([p.warp(float(p.check(t.values[p.name]))) for t in outcome.trials])
         for p in (first, second)
     )
-    best = outcome.best.result
-    above = np.array([t.result for t in outcome.trials]) / best - 1.0
+    above = above_best(np.array([t.result for t in outcome.trials]), relative)
+    size = 100.0 if relative else 1.0
     with drawing(caption, 4.2) as (axes, made):
-        color = np.minimum(100.0 * above, 100.0 * _far(above))
+        color = size * np.minimum(np.where(np.isfinite(above), above, np.inf), _far(above))
         order = np.argsort(-color)
         dots = axes.scatter(
             x[order], y[order], c=color[order], cmap=GOOD_TO_BAD, s=40, lw=0, alpha=0.9
@@ -123,7 +141,7 @@ def contour(
         place = [p.warp(float(p.check(chosen.values[p.name]))) for p in (first, second)]
         axes.plot(*place, "o", ms=13, mfc="none", mec=INK, mew=1.6)
         bar = axes.figure.colorbar(dots, ax=axes, pad=0.02)
-        bar.set_label("above the best trial, % (cut)")
+        bar.set_label(f"above the best trial, {unit} (cut)")
         bar.outline.set_visible(False)
         for p, which in ((first, "x"), (second, "y")):
             _scale(axes, p, which)
@@ -134,7 +152,8 @@ def contour(
 
 def _far(above: Array) -> float:
     """Where the colours end: what half of the trials stay below, at least `BAND`."""
-    return max(BAND, float(np.median(above)))
+    known = above[np.isfinite(above)]
+    return max(BAND, float(np.median(known))) if len(known) else BAND
 
 
 def _levels(axes: Axes, x: Array, y: Array, color: Array) -> None:
@@ -151,9 +170,10 @@ def _levels(axes: Axes, x: Array, y: Array, color: Array) -> None:
 
 def front(outcome: Outcome, chosen: Trial, axis: str, caption: str) -> Figure:
     """What was minimised against time per step: all trials, and the ones that nothing beats in both."""
-    best = outcome.front
+    best = outcome.front or (outcome.best,)
     with drawing(caption, 3.4) as (axes, made):
-        top = 1.6 * best[-1].result
+        reached = best[-1].result
+        top = reached + 0.6 * abs(reached)
         cost = np.array([t.cost or np.nan for t in outcome.trials])
         result = np.array([t.result for t in outcome.trials])
         axes.scatter(
@@ -187,6 +207,8 @@ def over_time(
     with drawing(caption, 3.0) as (axes, made):
         for label, trace in traces.items():
             x, middle, around = _binned(time, trace, edges)
+            if not len(x):
+                continue
             low, high = middle - around, middle + around
             if squared:
                 low, middle, high = (np.sqrt(np.maximum(a, 0.0)) for a in (low, middle, high))
@@ -194,11 +216,13 @@ def over_time(
             axes.plot(x, middle, color=colors[label], lw=1.5, label=label)
         axes.set_xlabel("time, s")
         axes.set_ylabel(axis)
-        axes.set_xlim(time[0], time[-1])
+        if len(time) > 1:
+            axes.set_xlim(time[0], time[-1])
         if squared:
             axes.set_ylim(bottom=0.0)
         axes.grid(axis="y")
-        axes.legend(loc="upper right", fontsize=9, ncols=2)
+        if axes.has_data():
+            axes.legend(loc="upper right", fontsize=9, ncols=2)
     return made[0]
 
 
@@ -213,5 +237,5 @@ def _binned(time: Array, trace: Array, edges: Any) -> tuple[Array, Array, Array]
         if len(runs):
             half = 1.96 * runs.std(ddof=1) / np.sqrt(len(runs)) if len(runs) > 1 else 0.0
             rows.append((time[first:last].mean(), runs.mean(), half))
-    x, middle, half_ = np.array(rows).T
+    x, middle, half_ = np.array(rows).reshape(-1, 3).T
     return x, middle, half_

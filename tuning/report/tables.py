@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from navgym.core.parameters import ParameterSpace
-from navgym.tuning.comparison import Comparison, Row
+from navgym.metrics import Consistency
+from navgym.tuning.comparison import LEAST, Comparison, Row
 from navgym.tuning.report.page import Table
 
 NOTHING = "–"
@@ -16,19 +17,66 @@ NOTHING = "–"
 def ladder(
     found: Comparison, own: Sequence[str] = (), caption: str = "", ranked: bool = True
 ) -> Table:
-    """A comparison from the smallest to the largest error, or (not `ranked`) in its own order."""
-    rows = sorted(found.rows, key=lambda r: r.mean) if ranked else list(found.rows)
-    scored = any(math.isfinite(r.score) for r in rows)
-    head = ["filter", found.measure.axis, "median", "diverged", f"gain over {found.reference}", "p"]
-    head += ["score"] if scored else []
-    head.append("µs/step")
-    cells = []
-    for row in rows:
-        line = [_label(row), error(row), metres(row.median), percent(row.divergence_rate)]
-        line += [NOTHING, NOTHING] if row.label == found.reference else [gain(row), p_value(row)]
-        line += [NOTHING if row.diverges else number(row.score)] if scored else []
-        cells.append([*line, f"{found.microseconds[row.label]:.1f}"])
-    return Table(head, cells, caption, kinds(rows, own))
+    """A comparison from the smallest to the largest error, or (not `ranked`) in its own order.
+
+    Medians and p-values stand there where there are recordings enough for intervals over them; of
+    recordings without truth what each filter foretells; of all of them NIS, and NEES where the truth is
+    known, per degree of freedom, with the band in which a covariance that tells the truth has them.
+    """
+    columns = _columns(found)
+    rows = sorted(found.rows, key=by_mean) if ranked else list(found.rows)
+    cells = [[_label(row), *(show(row) for show in columns.values())] for row in rows]
+    return Table(["filter", *columns], cells, caption, kinds(rows, own))
+
+
+def _columns(found: Comparison) -> dict[str, Callable[[Row], str]]:
+    """Cells of a row by head of its column."""
+    many = found.runs >= LEAST
+    made: dict[str, Callable[[Row], str]] = {found.measure.axis: error}
+    for name, quantity in found.quantities.items():
+        made[quantity.axis] = lambda r, name=name: _lost(r) or size(found.beside[r.label][name])
+    if many:
+        made["median"] = lambda r: size(r.median)
+    made["diverged"] = lambda r: percent(r.divergence_rate)
+    made[gain_head(found)] = lambda r: NOTHING if r.label == found.reference else gain(r)
+    if many:
+        made["p"] = lambda r: NOTHING if r.label == found.reference else p_value(r)
+    if any(math.isfinite(r.score) for r in found.rows):
+        made["score"] = lambda r: NOTHING if r.diverges else number(r.score)
+    for name, told in (("NIS", found.nis), ("NEES", found.nees)):
+        known = next((each for each in told.values() if each is not None), None)
+        if known is not None:
+            made[f"{name} ({band(known)})"] = lambda r, told=told: consistent(told.get(r.label))
+    made["µs/step"] = lambda r: f"{found.microseconds[r.label]:.1f}"
+    return made
+
+
+def gain_head(found: Comparison) -> str:
+    """What the column of gains is called: shares, or a difference of logarithms."""
+    unit = "" if found.measure.relative else f", {found.measure.unit or 'absolute'}"
+    return f"gain over {found.reference}{unit}"
+
+
+def by_mean(row: Row) -> tuple[bool, float]:
+    """Key that sorts rows by their mean, those without one last."""
+    return not math.isfinite(row.mean), row.mean if math.isfinite(row.mean) else 0.0
+
+
+def band(told: Consistency) -> str:
+    """Where a covariance that tells the truth has its mean."""
+    return f"{told.low:.2f} … {told.high:.2f}"
+
+
+def consistent(told: Consistency | None) -> str:
+    """NIS or NEES per degree of freedom, marked where it is outside its band."""
+    if told is None:
+        return NOTHING
+    mark = "" if told.consistent else " ↑" if told.mean > told.high else " ↓"
+    return f"{told.mean:.2f}{mark}" if told.mean < 100 else f"{told.mean:,.0f}{mark}"
+
+
+def _lost(row: Row) -> str:
+    return NOTHING if row.diverges else ""
 
 
 def _label(row: Row) -> str:
@@ -37,7 +85,7 @@ def _label(row: Row) -> str:
 
 def kinds(rows: Sequence[Row], own: Sequence[str] = ()) -> list[str]:
     """Which rows to set off: bounds, what diverged, the best that can be had, what was tuned."""
-    best = _best(rows).label
+    best = best_label(rows)
     return [
         "bound" if r.bound
         else "diverged" if r.diverges
@@ -56,8 +104,8 @@ def by_condition(
 ) -> Table:
     """One column of errors per comparison, the best of each in bold; sorted by column `order`."""
     key = found[order or next(iter(found))]
-    rows = sorted(key.rows, key=lambda r: r.mean)
-    best = {name: _best(c.rows).label for name, c in found.items()}
+    rows = sorted(key.rows, key=by_mean)
+    best = {name: best_label(c.rows) for name, c in found.items()}
     cells = [
         [_label(r), *(_bold(error(c[r.label]), best[name] == r.label) for name, c in found.items())]
         for r in rows
@@ -70,8 +118,10 @@ def by_condition(
     return Table(["filter", *found], cells, caption, marks)
 
 
-def _best(rows: Sequence[Row]) -> Row:
-    return min((r for r in rows if not r.bound), key=lambda r: r.mean)
+def best_label(rows: Sequence[Row]) -> str:
+    """Label of the best that can be had; "" if nothing worked."""
+    sound = [r for r in rows if not r.bound and not r.diverges]
+    return min(sound, key=by_mean).label if sound else ""
 
 
 def _bold(text: str, really: bool) -> str:
@@ -95,29 +145,48 @@ def value(value: Any) -> str:
 
 
 def error(row: Row) -> str:
-    """Mean with half its interval; the median where the mean says nothing."""
+    """Mean with half its interval, if there is one."""
     if row.diverges:
         return "diverges"
-    return f"{row.mean:.3f} ± {row.high - row.mean:.3f}"
+    half = max(row.high - row.mean, row.mean - row.low)
+    around = f" ± {half:.3f}" if math.isfinite(half) else ""
+    return f"{row.mean:z.3f}{around}"
 
 
-def metres(value: float) -> str:
-    """A length, short."""
+def size(value: float) -> str:
+    """A quantity, short."""
     if not math.isfinite(value):
         return NOTHING
-    return f"{value:.3f}" if value < 10 else f"{value:,.0f}"
+    return f"{value:z.3f}" if abs(value) < 10 else f"{value:,.0f}"
 
 
 def percent(value: float) -> str:
     """A share, in whole percent unless it is small."""
+    if not math.isfinite(value):
+        return NOTHING
     return f"{100 * value:.1f} %" if 0.0 < value < 0.1 else f"{100 * value:.0f} %"
 
 
+def share(value: float, signed: bool = True) -> str:
+    """A share in percent with one decimal; never "-0.0"."""
+    return f"{100 * value:+z.1f} %" if signed else f"{100 * value:z.1f} %"
+
+
 def gain(row: Row) -> str:
-    """Relative gain with its interval."""
+    """The gain with its interval, if there is one."""
     if row.diverges or not math.isfinite(row.gain):
         return NOTHING
-    return f"{100 * row.gain:+.1f} % [{100 * row.gain_low:+.1f}, {100 * row.gain_high:+.1f}]"
+    show = _in_percent if row.relative else _in_units
+    ends = f" [{show(row.gain_low)}, {show(row.gain_high)}]" if math.isfinite(row.gain_low) else ""
+    return f"{show(row.gain)}{' %' if row.relative else ''}{ends}"
+
+
+def _in_percent(value: float) -> str:
+    return f"{100 * value:+z.1f}"
+
+
+def _in_units(value: float) -> str:
+    return f"{value:+z.3f}"
 
 
 def p_value(row: Row) -> str:

@@ -2,39 +2,75 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Callable, Iterable
 
+from navgym.metrics import PairedDifference
+from navgym.metrics.measures import Measure
 from navgym.tuning.comparison import Comparison, Row
 
 
 def versus(found: Comparison, label: str, other: str) -> str:
-    """`label` against `other` in one sentence, with the interval of the paired gain."""
+    """`label` against `other` in one sentence, with the interval of the paired gain if there is one."""
     a, b = found[label], found[other]
     if a.diverges or b.diverges:
         return f"{_fate(a, found.measure.unit)}; {_fate(b, found.measure.unit)}."
     d = found.difference(label, other)
-    ends = sorted((abs(100 * d.gain_low), abs(100 * d.gain_high)))
+    if not math.isfinite(d.relative_gain):
+        return f"{_fate(a, found.measure.unit)}; {_fate(b, found.measure.unit)}."
     if d.gain_low <= 0.0 <= d.gain_high:
-        return (
-            f"`{label}` and `{other}` do not differ measurably ({100 * d.relative_gain:+.1f} %, "
-            f"95 % interval {100 * d.gain_low:+.1f} to {100 * d.gain_high:+.1f} %)."
-        )
+        return f"`{label}` and `{other}` do not differ measurably ({amount(found, d)})."
+    show, unit = _shown(found.measure)
+    much = f"{show(abs(d.relative_gain))[1:]}{unit}"
+    what = "error" if found.measure.needs_truth else found.measure.label
     way = "below" if d.relative_gain > 0 else "above"
-    return (
-        f"The error of `{label}` is {abs(100 * d.relative_gain):.1f} % {way} that of `{other}` "
-        f"(95 % interval {ends[0]:.1f} to {ends[1]:.1f} %)."
-    )
+    return f"The {what} of `{label}` is {much} {way} that of `{other}` ({_surely(found, d)})."
+
+
+def _surely(found: Comparison, d: PairedDifference) -> str:
+    """The interval of a gain's size."""
+    if not math.isfinite(d.gain_low):
+        return without_interval(found)
+    show, unit = _shown(found.measure)
+    low, high = sorted((abs(d.gain_low), abs(d.gain_high)))
+    return f"95 % interval{_along(found)} {show(low)[1:]} to {show(high)[1:]}{unit}"
+
+
+def _along(found: Comparison) -> str:
+    return "" if found.intervals == "recordings" else " along the log"
+
+
+def amount(found: Comparison, d: PairedDifference) -> str:
+    """A gain with its unit and interval: "+3.1 %, 95 % interval +2.0 to +4.2"."""
+    show, unit = _shown(found.measure)
+    text = f"{show(d.relative_gain)}{unit}"
+    if not math.isfinite(d.gain_low):
+        return f"{text}, {without_interval(found)}"
+    return f"{text}, 95 % interval{_along(found)} {show(d.gain_low)} to {show(d.gain_high)}"
+
+
+def _shown(measure: Measure) -> tuple[Callable[[float], str], str]:
+    if measure.relative:
+        return (lambda x: f"{100 * x:+z.1f}"), " %"
+    return (lambda x: f"{x:+z.3f}"), f" {measure.unit}".rstrip()
+
+
+def without_interval(found: Comparison) -> str:
+    """Why there is no interval."""
+    what = "one recording" if found.runs == 1 else f"{found.runs} recordings"
+    return f"{what}: no interval"
 
 
 def _fate(row: Row, unit: str) -> str:
     if row.diverges:
         return f"`{row.label}` diverges in {100 * row.divergence_rate:.0f} % of the runs"
-    return f"`{row.label}` has {row.mean:.3f} {unit}".rstrip()
+    return f"`{row.label}` has {row.mean:z.3f} {unit}".rstrip()
 
 
 def best(found: Comparison) -> Row:
-    """The row with the smallest error among those that anyone can have."""
-    return min((r for r in found.rows if not r.bound), key=lambda r: r.mean)
+    """The row with the smallest error among those that anyone can have; of diverging ones if all do."""
+    free = [r for r in found.rows if not r.bound] or list(found.rows)
+    return min(free, key=lambda r: (r.diverges, not math.isfinite(r.mean), r.mean))
 
 
 def nobody_better_than(found: Comparison, label: str) -> str:

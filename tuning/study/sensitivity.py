@@ -13,12 +13,13 @@ import optuna
 from navgym.core.checks import Array
 from navgym.core.parameters import Parameter, ParameterSpace
 from navgym.metrics.measures import METRICS
+from navgym.tuning.comparison import LEAST
 from navgym.tuning.objectives import InstanceGoal
 from navgym.tuning.study.run import Outcome
 from navgym.tuning.study.search_space import distribution, distributions, to_optuna
 
 POINTS = 13  # of a sweep
-FLAT = 0.01  # losses that differ by less than this share are alike
+FLAT = 0.01  # losses that differ by less than this share, or so many nats, are alike
 # A flat stretch worth telling is at least this share of the parameter's range, on its own scale
 STRETCH = 0.25
 LEAST_TRIALS = 20  # for importances: fewer say nothing
@@ -32,9 +33,10 @@ class Sweep:
         parameter: what is varied.
         chosen: its value in the winner.
         values: (n,) as numbers, the winner's among them.
-        change: (n,) metric over the winner's, less 1.
+        change: (n,) metric over the winner's, less 1; of logarithms metric less the winner's.
         low: (n,) lower ends of 95 % intervals, from paired runs.
         high: (n,) upper ends.
+        relative: whether changes are shares.
     """
 
     parameter: Parameter
@@ -43,10 +45,11 @@ class Sweep:
     change: Array
     low: Array
     high: Array
+    relative: bool = True
 
     @property
     def span(self) -> float:
-        """Largest less smallest metric, as a share of the winner's."""
+        """Largest less smallest metric, as a share of the winner's or as it is."""
         return float(self.change.max() - self.change.min())
 
     @property
@@ -80,6 +83,7 @@ def sweeps(
     winner: Mapping[str, Any],
     run: Callable[[Sequence[tuple[Any, ...]]], list[Any]],
     points: int = POINTS,
+    relative: bool = True,
 ) -> list[Sweep]:
     """A sweep per free parameter, on the goal's instances.
 
@@ -88,6 +92,7 @@ def sweeps(
         winner: values of the free parameters.
         run: evaluates many calls of `navgym.tuning.study.racing.evaluate`.
         points: values per parameter, evenly spaced on its scale.
+        relative: whether losses may be told as shares: not so of logarithms.
     """
     grids = [_grid(p, float(p.check(winner[p.name])), points) for p in goal.space]
     calls = [
@@ -100,7 +105,7 @@ def sweeps(
     for p, grid in zip(goal.space, grids, strict=True):
         losses = np.array(found[done : done + len(grid)])
         done += len(grid)
-        made.append(_sweep(p, float(p.check(winner[p.name])), grid, losses, base, metric))
+        made.append(_sweep(p, float(p.check(winner[p.name])), grid, losses, base, metric, relative))
     return made
 
 
@@ -114,16 +119,22 @@ def _grid(p: Parameter, chosen: float, points: int) -> Array:
 
 
 def _sweep(
-    p: Parameter, chosen: float, grid: Array, losses: Array, base: Array, metric: Any
+    p: Parameter,
+    chosen: float,
+    grid: Array,
+    losses: Array,
+    base: Array,
+    metric: Any,
+    relative: bool,
 ) -> Sweep:
     """Change of the metric with the interval of a paired mean (of runs) at each value."""
     reference = float(metric(base))
-    scale = abs(reference) if reference else 1.0
+    scale = abs(reference) if reference and relative else 1.0
     change = np.array([float(metric(each)) - reference for each in losses]) / scale
     around = np.zeros(len(grid))
-    if len(base) > 1:
+    if len(base) >= LEAST:
         around = 1.96 * (losses - base).std(axis=1, ddof=1) / np.sqrt(len(base)) / scale
-    return Sweep(p, chosen, grid, change, change - around, change + around)
+    return Sweep(p, chosen, grid, change, change - around, change + around, relative)
 
 
 def importances(outcome: Outcome, space: ParameterSpace) -> dict[str, float]:
