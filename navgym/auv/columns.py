@@ -26,6 +26,7 @@ FINE_DEGREES = 5  # decimals: fewer are no position
 STILL = 10  # rows: of fewer, nothing is said about degrees
 NARROW = 0.1  # extent of a log that may be in degrees
 WHOLE_STEPS = 10.0  # of times without a unit: from here they may be ms
+SIGMAS = 1e-9, 1e9  # m, m/s: what is beyond, 0 among it, is no accuracy
 FACTOR = 3.0  # by which distances may miss what velocities say
 
 
@@ -258,7 +259,8 @@ class Columns:
             told = [q for q in (f"sigma_{name}", f"sigma_{sensor}") if q in self.fields]
             if told and not (told[0] == "sigma_position" and name == "pz"):
                 values = self.numbers(told[0])
-                values[~(values > 0.0)] = np.nan
+                low, high = SIGMAS
+                values[~((values >= low) & (values <= high))] = np.nan
                 found[:, j] = np.maximum(values, floor)
         return found
 

@@ -15,6 +15,7 @@ Flags = NDArray[np.bool_]
 
 FEW = 5  # late rows one after the other: from here a clock was set back, below a row came late
 COARSE = 1.5, 20  # rows per time, and conflicts: from here stamps are too coarse
+SHORTEST = 1e-12  # s between rows: less is rounding, or a wrong unit
 LONGEST_GAP = 30 * 86_400.0  # s: no voyage pauses longer, so the clock was set
 LONG_GAP = 3_600.0, 1_000.0  # s and usual steps: from here a gap is worth a word
 HELD_SHARE = 0.05  # of received values: fewer repeats do no harm
@@ -94,6 +95,13 @@ def _check_gaps(time: Array, lines: NDArray[np.int64], sort: bool | None, notes:
     steps = np.diff(time)
     if not (steps > 0.0).any():
         return
+    short = np.flatnonzero((steps > 0.0) & (steps < SHORTEST))
+    if len(short):
+        k = int(short[0]) + 1
+        raise ValueError(
+            f"{notes.file}, line {lines[k]}, column 'time': only {steps[k - 1]:.3g} s after another "
+            "row: check the unit of the times, units={'time': ...}."
+        )
     usual, k = float(np.median(steps[steps > 0.0])), int(np.argmax(steps))
     gap = float(steps[k])
     if gap > LONGEST_GAP and gap > LONG_GAP[1] * usual and sort is not True:

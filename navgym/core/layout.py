@@ -29,6 +29,7 @@ _CLOCK = r"\d{1,2}:\d\d(:\d\d([.,]\d*)?)?"
 _TIME = rf"({_DATE})([T ]+{_CLOCK}\s*(Z|UTC|[-+]\d\d:?(\d\d)?)?)?|{_CLOCK}"
 _DEGREES = r"[-+]?\d+([.,]\d+)?\s*[°º].*|\d+(\.\d+)?\s*[NSEW]"
 _VALUE = re.compile("|".join((_NUMBER.pattern, _COMMA.pattern, _TIME, _DEGREES)), re.ASCII)
+_INK = re.compile(rb"\S")
 _DATE_BLANK_CLOCK = re.compile(r"(?<!\S)(\d{4}[-/]\d\d?[-/]\d\d?)[ \t]+(?=\d\d?:\d\d)")
 
 
@@ -74,9 +75,9 @@ def find(
     """Layout of the text of file `name`; raises ValueError where it holds no table with names."""
     _check(delimiter, decimal)
     lines = _sampled(text)
-    if not lines:
-        raise ValueError(f"{name} is empty: it needs a header line and a row per sample.")
     rows = [line for line in lines if not line[2].startswith(COMMENTS)]
+    if not rows:
+        raise ValueError(f"{name} is empty: it needs a header line and a row per sample.")
     delimiter = delimiter or _delimiter([line[2] for line in rows])
     split = [_Line(*line, cells(line[2], delimiter)) for line in rows]
     width = _width(split)
@@ -132,17 +133,15 @@ def _sampled(text: bytes) -> list[tuple[int, int, str]]:
     """Number, end in bytes and text of the first lines that are not blank."""
 
     def each():  # type: ignore[no-untyped-def]
-        start, number = 0, 0
-        while start < len(text):
-            end = text.find(b"\n", start)
-            end = len(text) if end < 0 else end + 1
+        end, number = 0, 1
+        while (found := _INK.search(text, end)) is not None:
+            start = text.rfind(b"\n", end, found.start()) + 1 or end
+            number += text.count(b"\n", end, start)
+            stop = text.find(b"\n", start)
+            before, end = number, len(text) if stop < 0 else stop + 1
+            line = text[start : min(end, start + WIDEST)].decode("utf-8", errors="replace")
             number += 1
-            line = (
-                text[start : min(end, start + WIDEST)].decode("utf-8", errors="replace").strip("\n")
-            )
-            if line.strip():
-                yield number, end, line
-            start = end
+            yield before, end, line.strip("\n")
 
     return list(islice(each(), SAMPLE))
 

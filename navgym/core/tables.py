@@ -24,6 +24,7 @@ from navgym.core.text import LARGEST, read_text
 FLAGS = {"0": False, "false": False, "1": True, "true": True}
 ROWS = 1 << 16  # that are turned into numbers at a time: bounds memory
 WIDEST = 100  # characters of a cell that may be a number or a time
+HIGHEST = 1e30  # of a number: squares and cubes of it must still be numbers
 PAD = b"\0" * WIDEST
 
 Bytes = NDArray[np.uint8]
@@ -149,7 +150,8 @@ class Table:
             infinite: whether "inf" is let through.
             number: what turns a cell that is no plain number into one, NaN where it cannot.
 
-        Raises ValueError, naming line and column, for text, for infinity, and for gaps.
+        Raises ValueError, naming line and column, for text, for infinity or a number beyond
+        `HIGHEST`, and for gaps.
         """
         self.find(column, remedy)
         wanted = "a finite number, or nothing where lost" if gaps else "a finite number"
@@ -162,6 +164,11 @@ class Table:
             if wrong.any():
                 k = int(np.argmax(wrong))
                 what = f"must be {wanted}, got {_shown(cells[k])}. {remedy}"
+                raise self.error(first + k, column, what)
+            huge = (np.abs(part) > HIGHEST) & ~np.isinf(part)
+            if huge.any():
+                k = int(np.argmax(huge))
+                what = f"no quantity is as large as {_shown(cells[k])}: repair or remove the row."
                 raise self.error(first + k, column, what)
         return values
 
