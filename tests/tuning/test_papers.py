@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import navgym
-from navgym.deck.csv_log import COLUMNS
+from navgym.deck.log_columns import COLUMNS
 from navgym.tuning.papers import claims, expected_idam, idam, idam_figures, idam_ship, part, qivbf
 from navgym.tuning.papers import qivbf_figures as figures
 from navgym.tuning.papers.claims import FAILS, HOLDS, PARTLY, Finding, judge
