@@ -60,9 +60,15 @@ def test_empty_rows_and_gaps_change_nothing(name, seed, own, apart):
     assert long.diverged == short.diverged
 
 
-def test_which_filters_are_left_out():
-    """The rest do depend on rows without a measurement, which is why they are left out."""
-    assert ROW_BY_ROW < set(CATALOGUE)
+@pytest.mark.parametrize("name", sorted(ROW_BY_ROW))
+def test_those_that_are_left_out_do_take_an_empty_row_for_a_datum(name):
+    time = np.arange(1.0, 21.0)
+    y = np.tile([3.0, 0.5, -3.0, 0.5], (20, 1)) * time[:, None]
+    late = np.concatenate([time[:10], time[10:] + 30.0])
+    finer = np.arange(1.0, 51.0)
+    short = navgym.estimate(name, log(late, np.arange(20), y, 1.0))
+    long = navgym.estimate(name, log(finer, np.isin(finer, late), y, 1.0))
+    assert np.abs(long.states[np.isin(finer, late)] - short.states).max() > 1e-3
 
 
 def test_process_noise_adds_up_over_time():
