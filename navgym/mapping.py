@@ -21,9 +21,10 @@ the reader, and errors list them.
 from __future__ import annotations
 
 import collections.abc
+import json
 import os
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self, TypeAlias
@@ -175,6 +176,49 @@ def _by_quantity(hint: Any) -> bool:
 def _singular(name: str) -> str:
     """units: unit."""
     return name.removesuffix("s")
+
+
+def written(
+    format_name: str,
+    columns: Mapping[str, str],
+    others: Sequence[str],
+    options: Mapping[str, Any],
+) -> str:
+    """The text of a mapping file to go on from.
+
+    Args:
+        format_name: of the log.
+        columns: its columns by quantity, as its reader found them.
+        others: columns whose meaning is to be said; they stand as comments.
+        options: what the reader was told beside.
+    """
+    lines = [f"format = {_toml(format_name)}"]
+    for name, value in options.items():
+        text = None if name == "columns" else _toml(value)
+        lines += [] if text is None else [f"{name} = {text}"]
+    for quantity, name in columns.items():
+        lines += ["", f"[{COLUMN}.{_toml(name)}]", f"{QUANTITY} = {_toml(quantity)}"]
+    for name in others:
+        lines += ["", f"# [{COLUMN}.{_toml(name)}]", f'# {QUANTITY} = ""']
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str | None:
+    """A value as TOML, None if TOML has no such thing."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, (int, float)):
+        return repr(value)
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, (tuple, list)):
+        parts = [_toml(each) for each in value]
+        return None if None in parts else f"[{', '.join(map(str, parts))}]"
+    if isinstance(value, Mapping):
+        parts = [_toml(each) for each in value.values()]
+        pairs = ", ".join(f"{_toml(str(k))} = {p}" for k, p in zip(value, parts, strict=True))
+        return None if None in parts else f"{{{pairs}}}"
+    return None
 
 
 def _checked(source: Path, columns: object) -> Mapping[str, Mapping[str, Any]]:

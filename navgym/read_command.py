@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from collections.abc import Sequence
+import warnings
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from navgym.core.atomic import replacing
+from navgym.core.tables import read_table
+from navgym.core.typed import options_of
+from navgym.mapping import written
 from navgym.problem import Problem
-from navgym.readers import ReaderOptions, formats
+from navgym.readers import ReaderOptions, formats, reader_of, words_after
 
 ABOUT = """Read a log and say what was found in it: rows, steps, gaps, losses, what the reader changed.
 
@@ -19,10 +24,11 @@ ABOUT = """Read a log and say what was found in it: rows, steps, gaps, losses, w
     navgym read my_log.csv --read position_noise 1.5 columns.px "north (m)" delimiter ";"
     navgym read my_log.csv --read mapping.toml --out my_log.npz
     navgym read ship.csv --read lever_arm 10,10,2 regular true
+    navgym read my_log.csv --write-mapping mapping.toml
 
---read takes pairs of an option and its value, as navgym tune and the other commands do, and
-before them, if you like, a mapping file that says what each column holds. An option of the reader
-that is not there is answered with those that are.
+--read, after the log, takes pairs of an option and its value, as navgym tune and the other commands
+do, and before them, if you like, a mapping file that says what each column holds. An option of the
+reader that is not there is answered with those that are.
 """
 
 NAMED = 9  # columns of the line's name
@@ -36,24 +42,72 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
     )  # fmt: skip
     add = parser.add_argument
     add("log", type=Path, help="the file, or the folder of a public data set")
-    add("--read", nargs="+", default=[], metavar="WORD", help="what the reader is told")
+    add(
+        "--read",
+        nargs="+",
+        metavar="WORD",
+        default=argparse.SUPPRESS,
+        help="what the reader is told",
+    )
     add("--format", help=f"one of {', '.join(formats())}; by default what the log looks like")
     add("--out", type=Path, help="save the recording there, as NAME.npz, with the model")
-    return parser.parse_args(list(words))
+    add("--write-mapping", type=Path, metavar="FILE", help="write a mapping file to go on from")
+    told, rest = words_after("--read", words)
+    return parser.parse_args(rest, argparse.Namespace(read=told))
 
 
 def main(words: Sequence[str]) -> int:
     """Read and tell; returns the exit status."""
     asked = parse(words)
     reading = ReaderOptions.parsed(asked.read, asked.format)
-    recording = reading.read(asked.log)
+    try:
+        recording, warned = _read(reading, asked.log)
+    except ValueError as error:
+        if asked.write_mapping is None or not asked.log.is_file():
+            raise
+        begun = _write_mapping(asked.write_mapping, reading, asked.log, {})
+        raise ValueError(f"{error} Say what the columns hold in {begun}.") from error
     problem = reading.problem(asked.log)
-    for name, line in told(recording, problem):
+    for name, line in told(recording, problem) + [("warning", text) for text in warned]:
         print(f"{name.ljust(NAMED)} {line}")
     if asked.out is not None:
         print(f"{'saved'.ljust(NAMED)} {recording.save(asked.out)}")
+    if asked.write_mapping is not None:
+        columns = recording.meta.get("columns", {})
+        mapping = _write_mapping(asked.write_mapping, reading, asked.log, columns)
+        print(f"{'mapping'.ljust(NAMED)} {mapping}")
     print(f"{'next'.ljust(NAMED)} {following(reading, asked.log, recording, problem)}")
     return 0
+
+
+def _read(reading: ReaderOptions, log: Path) -> tuple[Any, list[str]]:
+    """The recording, and what was warned of that it does not keep among its sentences."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        recording = reading.read(log)
+    kept = "\n".join(map(str, recording.meta.get("reading", ())))
+    texts = [str(each.message) for each in caught if issubclass(each.category, UserWarning)]
+    return recording, [text for text in texts if text.partition(": ")[2] not in kept]
+
+
+def _write_mapping(
+    target: Path, reading: ReaderOptions, log: Path, columns: Mapping[str, str]
+) -> Path:
+    """Write what is known of a log's columns as a mapping file; returns its path."""
+    name = reading.format_of(log)
+    if "columns" not in options_of(reader_of(name)):
+        raise ValueError(
+            f"format {name!r} has no columns to say anything of: --write-mapping is for text logs."
+        )
+    options = reading.options(name)
+    delimiter, decimal, encoding = map(options.get, ("delimiter", "decimal", "encoding"))
+    names = read_table(log, delimiter, decimal=decimal, encoding=encoding).cells
+    others = [each for each in names if each not in columns.values()]
+    if target.exists():
+        raise ValueError(f"{target} exists: name another file, or remove it.")
+    with replacing(target, text=True) as file:
+        file.write(written(name, columns, others, options))
+    return target
 
 
 def told(recording: Any, problem: Problem) -> list[tuple[str, str]]:

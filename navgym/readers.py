@@ -266,6 +266,23 @@ class ReaderOptions:
         return next(p for p in problems() if name in p.readers)
 
 
+def words_after(flag: str, words: Sequence[str]) -> tuple[list[str], list[str]]:
+    """The words after each `flag` up to the next that begins with two dashes, and all others.
+
+    argparse would take a value such as -10,10,2 for an option.
+    """
+    told: list[str] = []
+    rest: list[str] = []
+    inside = False
+    for word in words:
+        if word.startswith("--"):
+            inside = word == flag
+            rest += [] if inside else [word]
+        else:
+            (told if inside else rest).append(word)
+    return told, rest
+
+
 def _value(hint: Any, value: Any, name: str) -> Any:
     """One option's value."""
     if name.endswith("model") and isinstance(value, str):

@@ -321,6 +321,42 @@ class TestCommand:
         assert np.array_equal(saved.measurements, again.measurements)
         assert "meta" not in self.said(capsys, tmp_path / "mine.npz")
 
+    def test_a_mapping_file_to_go_on_from_says_what_was_found(self, capsys, log, tmp_path):
+        mapping = tmp_path / "m.toml"
+        words = ("--read", "columns.px", "north (m)", "position_noise", "3", "missing", "-99,x")
+        self.said(capsys, log, *words, "--write-mapping", mapping)
+        by_words, by_file = (ReaderOptions.parsed(w) for w in (words[1:], [str(mapping)]))
+        assert {**by_file.options("csv"), "columns": {}} == {
+            **by_words.options("csv"), "columns": {},
+        }  # fmt: skip
+        assert np.array_equal(by_file.read(log).measurements, by_words.read(log).measurements)
+        assert command.main(["read", str(log), "--write-mapping", str(mapping)]) == 2
+        assert "exists: name another file" in capsys.readouterr().err
+
+    def test_columns_that_nobody_knows_are_to_be_filled_in(self, capsys, tmp_path):
+        (tmp_path / "log.csv").write_text('when;a "q";ü\n0;1;2\n1;2;3\n')
+        mapping = tmp_path / "m.toml"
+        words = ["read", str(tmp_path / "log.csv"), "--write-mapping", str(mapping)]
+        assert command.main(words) == 2
+        assert f"Say what the columns hold in {mapping}" in capsys.readouterr().err
+        text = mapping.read_text(encoding="utf-8")
+        for quantity in ("time", "px", "py"):
+            text = text.replace("# [column", "[column", 1)
+            text = text.replace('# quantity = ""', f'quantity = "{quantity}"', 1)
+        mapping.write_text(text, encoding="utf-8")
+        assert navgym.read(mapping, tmp_path / "log.csv").measurements.tolist() == [[1, 2], [2, 3]]
+
+    def test_values_may_begin_with_a_dash(self, capsys, ship, tmp_path):
+        path = write_deck_csv(ship, tmp_path / "ship.csv")
+        assert "lever arm -1, 2, -3 m" in self.said(capsys, path, "--read", "lever_arm", "-1,2,-3")["model"]  # fmt: skip
+
+    def test_what_is_not_linear_has_a_model_too(self, capsys, tmp_path):
+        model = navgym.CoordinatedTurnModel()
+        walk = navgym.Recording(np.arange(9.0), np.ones((9, model.m)), model=model)
+        said = self.said(capsys, walk.save(tmp_path / "turn.npz"))
+        assert said["model"].startswith("CoordinatedTurnModel of 5 states")
+        assert "--filter ekf" in said["next"]
+
     def test_a_deck_says_its_lever_arm_and_what_was_taken_for_granted(self, capsys, ship, tmp_path):
         path = write_deck_csv(ship, tmp_path / "ship.csv")
         assert command.main(["read", str(path), "--read", "lever_arm", "1,2,3"]) == 0
