@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from navgym.auv.alignment import Alignment, Reference, align_reference, aligned
 from navgym.auv.scenarios import Loss
 from navgym.auv.simulation import draw_losses
 from navgym.core.checks import Array, positive_int, within
@@ -29,6 +30,7 @@ def read_akit(
     loss: Loss | float = 0.0,
     seed: int = 0,
     position_noise: float = 1.0,
+    align: bool = False,
     model: LinearModel | None = None,
 ) -> Recording:
     """A voyage of the Snapir AUV: real DVL velocity, position fixes made from the reference.
@@ -36,9 +38,13 @@ def read_akit(
     The state is [Px, Vx, Py, Vy] = north, north velocity, east, east velocity (m, m/s) in the
     tangent plane at the first reference sample. A position fix is the reference plus
     N(0, position_noise²). A velocity is the DVL's body velocity turned to north-east-down by the
-    recorded roll, pitch and yaw; the DVL's lever arm (1.5 to 1.9 m aft of the reference point) is
-    left in it, as in the data. The truth is the reference. Its first sample gives x0 and no
+    recorded roll, pitch and yaw. The truth is the reference. Its first sample gives x0 and no
     measurement, since x0 and P0 hold one step before the first measurement.
+
+    As published, the reference is late against the DVL (1.4 to 1.5 s; .5 to .6 s on tracks 5 and 6)
+    and the DVL is 1.8 to 1.9 m aft of the reference point, which is most of a filter's error on
+    these tracks. `align` estimates both from the track and takes them out: the reference is read
+    between its samples at the DVL's instants, the DVL's velocity is moved to the reference point.
 
     Args:
         path: the published Data folder, or any that holds DVL_trajectoryN.csv, GT_trajectoryN.csv.
@@ -47,13 +53,16 @@ def read_akit(
         seed: of noise and losses; take it from `navgym.seeds`. Each has a stream of its own, so
             that another loss leaves the noise as it was.
         position_noise: standard deviation of a position fix, m; the default model knows it.
+        align: whether to estimate delay and lever arm of the reference and take them out;
+            `meta["alignment"]` then reports them (`navgym.auv.alignment.Alignment`).
         model: a linear model of these four states. By default all four are measured with
             R = diag(position_noise², .1², position_noise², .1²), Q = .1² G Gᵀ
             (`LinearModel.white_acceleration`), x0 is the reference's first state and P0 = I.
 
     Raises:
         FileNotFoundError: the folder lacks the track.
-        ValueError: files that are not in the published layout, or an option out of range.
+        ValueError: files that are not in the published layout, an option out of range, or a track
+            that does not tell its alignment.
 
     Source: A-KIT, github.com/ansfl/A-KIT (N. Cohen and I. Klein, Adaptive Kalman-Informed
     Transformer, arXiv:2401.09987). It states no licence: navgym does not ship its data.
@@ -61,7 +70,11 @@ def read_akit(
     lossy = loss if isinstance(loss, Loss) else Loss(float(loss))
     split_of(seed)
     within("position_noise", position_noise, 0.0, above=True)
-    time, truth, dvl = _akit_track(Path(path), positive_int("track", track))
+    if not isinstance(align, bool):
+        raise ValueError(f"align must be True or False, got {align!r}.")  # noqa: TRY004
+    reference, body = _akit_track(Path(path), positive_int("track", track))
+    found = align_reference(reference, reference.time, body) if align else None
+    time, truth, dvl = _of_one_instant(reference, body, found)
     if model is None:
         dt = step_of(np.diff(time))
         model = LinearModel.white_acceleration(dt, position_noise=position_noise, x0=truth[0])
@@ -72,18 +85,21 @@ def read_akit(
     sensed[:, [0, 2]] += position_noise * noise.standard_normal((len(time), 2))
     sensed[:, [1, 3]] = dvl
     meta = {"track": track, "seed": int(seed), "position_noise": float(position_noise)}
+    told = {} if found is None else {"alignment": found.as_dict()}
     return Recording(
         time=time,
         measurements=np.einsum("...ij,...j->...i", _rows_of_four(model), sensed),
         lost=draw_losses(lossy, [lossy], np.zeros(len(time), np.int64), model.m, losses),
         truth=truth,
         model=model,
-        meta={"format": "akit", "source": "github.com/ansfl/A-KIT", "loss": asdict(lossy)} | meta,
+        meta={"format": "akit", "source": "github.com/ansfl/A-KIT", "loss": asdict(lossy)}
+        | meta
+        | told,
     )
 
 
-def _akit_track(folder: Path, track: int) -> tuple[Array, Array, Array]:
-    """Time (T,), reference states (T, 4), and DVL velocity north and east (T, 2)."""
+def _akit_track(folder: Path, track: int) -> tuple[Reference, Array]:
+    """The reference, and the DVL's body velocity (T, 3) at the same times of its own clock."""
     reference, dvl = (read_table(_akit_file(folder, kind, track)) for kind in ("GT", "DVL"))
     time = reference.increasing("Time [s]")
     if len(time) < 2 or not np.array_equal(time, dvl.increasing("Time [s]")):
@@ -91,12 +107,22 @@ def _akit_track(folder: Path, track: int) -> tuple[Array, Array, Array]:
             f"{reference.path.name} and {dvl.path.name} must hold the same times, at least two: "
             f"they have {len(time)} and {len(dvl.lines)} rows. Use the files as published."
         )
-    north, east = _tangent_plane(reference)
-    v_north, v_east = (reference.numbers(f"V {axis} [m/s]") for axis in ("North", "East"))
+    position = np.stack(_tangent_plane(reference), axis=-1)
+    velocity = reference.matrix(("V North [m/s]", "V East [m/s]", "V Down [m/s]"))
     angles = reference.matrix(("Yaw [rad]", "Pitch [rad]", "Roll [rad]"))
     body = dvl.matrix(("DVL X [m/s]", "DVL Y [m/s]", "DVL Z [m/s]"))
-    ned = Rotation.from_euler("ZYX", angles).apply(body)
-    return time, np.stack([north, v_north, east, v_east], axis=-1), ned[:, :2]
+    return Reference(time, position, velocity, Rotation.from_euler("ZYX", angles)), body
+
+
+def _of_one_instant(
+    reference: Reference, body: Array, alignment: Alignment | None
+) -> tuple[Array, Array, Array]:
+    """Time (K,), reference states (K, 4), and DVL velocity north and east (K, 2)."""
+    if alignment is not None:
+        return aligned(reference, reference.time, body, alignment)
+    p, v = reference.position, reference.velocity
+    states = np.stack([p[:, 0], v[:, 0], p[:, 1], v[:, 1]], axis=-1)
+    return reference.time, states, reference.attitude.apply(body)[:, :2]
 
 
 def _akit_file(folder: Path, kind: str, track: int) -> Path:

@@ -260,7 +260,7 @@ def _numbers(field: str, value: ArrayLike) -> Array:
     """`value` as finite numbers; ValueError where some are masked."""
     if np.ma.is_masked(value):
         raise ValueError(
-            f"{field} must be known, got {np.ma.getmaskarray(value).sum()} masked values: "
+            f"{field} must be known, got {np.ma.getmaskarray(np.ma.asarray(value)).sum()} masked values: "
             "leave those points out of x and y, for example by x[~y.mask], y[~y.mask]."
         )
     return real_array(field, value)
