@@ -238,6 +238,7 @@ class LinearModel(Frozen):
         for name in ("F", "H", "Q", "R", "x0", "P0"):
             records[name] = getattr(self, name)
         records["R"] = _filled(records["R"])
+        records["n"], records["m"] = self.n, self.m
         records["rows"] = _selected(records["H"])
         return records
 
@@ -260,6 +261,8 @@ def record(n: int, m: int) -> np.dtype[Any]:
             ("x0", f8, (n,)),
             ("P0", f8, (n, n)),
             ("rows", np.int64, (m,)),
+            ("n", np.int64),
+            ("m", np.int64),
         ]
     )
 
@@ -331,7 +334,7 @@ def _sensors(H: Array, position: tuple[int, ...], velocity: tuple[int, ...]) -> 
 def _names(field: str, value: Any, default: tuple[str, ...]) -> tuple[str, ...]:
     if value is None:
         return default
-    names = tuple(np.asarray(value).tolist())
+    names = () if isinstance(value, str) else tuple(np.asarray(value).tolist())
     if len(names) != len(default) or not all(
         isinstance(n, str) and n.isidentifier() for n in names
     ):
