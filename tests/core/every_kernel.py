@@ -5,6 +5,7 @@ Python. Model sizes are those that `navgym.warm` compiles.
 """
 
 import ast
+import dataclasses
 import inspect
 import os
 import sys
@@ -66,6 +67,12 @@ def filters():
     model = navgym.LinearModel(R=1e-9 * np.eye(4), H=np.eye(4))  # the bank's updates lose digits
     exact = navgym.Recording(recording.time, recording.truth, recording.lost, model=model)
     found["exact"] = navgym.estimate("imm", exact).states
+    loud = navgym.Recording(recording.time, recording.measurements, recording.lost, model=model)
+    lost = dataclasses.replace(loud, lost=np.arange(len(loud)) % 4 == 1)
+    for name in ("vbakf", "bank", "bank_bursts"):  # R̂ at its bound; rows without a measurement
+        found |= {
+            f"{name} {i}": navgym.estimate(name, r).states for i, r in enumerate((loud, lost))
+        }
     return found
 
 
