@@ -38,6 +38,7 @@ FUNCTIONS = {
     "parameter_space": ("filter_name",),
     "seeds": ("split", "count"),
     "read": (),
+    "geographic": ("recording", "states"),
     "identify": ("method", "increments", "interval"),
     "flexure_increments": ("recording",),
 }

@@ -208,7 +208,7 @@ class Columns:
             origin = (first[0], first[1], up)
         found = np.full((len(degrees), 3), np.nan)
         heights = None if height is None else height[there]
-        found[there] = to_plane(*degrees[there].T, origin, heights)
+        found[there] = to_plane(degrees[there, 0], degrees[there, 1], origin, heights)
         where = ", ".join(f"{value:.9g}" for value in origin)
         self.notes.say(f"latitude and longitude became metres north and east of ({where})")
         if np.abs(found[there, :2]).max() > 1e5:
@@ -219,8 +219,8 @@ class Columns:
     def truth_plane(self, origin: tuple[float, float, float]) -> Array:
         """True metres north and east from truth_lat and truth_lon, (T, 2)."""
         remedy = "Truth is needed in every row: fill it in, or remove the truth columns."
-        degrees = [self.whole(f"truth_{name}", remedy) / DEGREE for name in GEOGRAPHIC]
-        return to_plane(*degrees, origin, None)[:, :2]
+        lat, lon = (self.whole(f"truth_{name}", remedy) / DEGREE for name in GEOGRAPHIC)
+        return to_plane(lat, lon, origin, None)[:, :2]
 
     def _check_degrees(self, degrees: Array) -> None:
         for j, name in enumerate(GEOGRAPHIC):
@@ -306,7 +306,8 @@ def levered(p: Array, heading: Array, lever_arm: NDArray[np.float64]) -> Array:
     """
     c, s = np.cos(heading), np.sin(heading)
     forward, right = lever_arm[:2]
-    return p - np.stack([c * forward - s * right, s * forward + c * right], axis=-1)
+    centre: Array = p - np.stack([c * forward - s * right, s * forward + c * right], axis=-1)
+    return centre
 
 
 def _number(mark: str | float) -> float:

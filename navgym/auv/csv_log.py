@@ -180,8 +180,8 @@ def _geographic_columns(recording: Recording, measured: Sequence[str]) -> dict[s
     origin = recording.meta.get("origin")
     if origin is None or not {"px", "py"} <= set(measured):
         return {}
-    p = [recording.measurements[:, measured.index(name)] for name in ("px", "py")]
-    latitude, longitude = from_plane(*p, origin)
+    north, east = (recording.measurements[:, measured.index(name)] for name in ("px", "py"))
+    latitude, longitude = from_plane(north, east, origin)
     return {"lat": latitude.tolist(), "lon": longitude.tolist()}
 
 

@@ -6,6 +6,7 @@ import difflib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 from navgym.core import units as U
 from navgym.core.checks import one_of
@@ -183,11 +184,12 @@ def _plain(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
-def _words(column: str) -> set[str]:
+@lru_cache(maxsize=1 << 12)
+def _words(column: str) -> frozenset[str]:
     """A column's name in letters and digits, with and without what stands before its last dot."""
     base = U.split(column)[0]
     last = re.split(r"[./:]", base.strip("./: "))[-1]
-    return {_plain(word) for word in (column, base, last)} - {""}
+    return frozenset(_plain(word) for word in (column, base, last)) - {""}
 
 
 def _named(file: str, quantity: str, free: Sequence[str]) -> str | None:
@@ -202,7 +204,7 @@ def _named(file: str, quantity: str, free: Sequence[str]) -> str | None:
                 f"{file}: {' and '.join(map(repr, names))} could each be {quantity}: say which "
                 f"it is with columns={{{quantity!r}: {names[0]!r}}}."
             )
-    return (own or others or [None])[0]
+    return next(iter(own or others), None)
 
 
 def _settle(file: str, found: dict[str, Field]) -> None:

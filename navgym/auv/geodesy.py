@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -89,17 +89,15 @@ def geographic(recording: Recording, states: ArrayLike) -> tuple[Array, Array]:
 
 def checked_origin(origin: object) -> tuple[float, float, float]:
     """Latitude, longitude and height as floats; ValueError naming what is wrong."""
-    try:
-        latitude, longitude, *rest = origin  # type: ignore[misc]
-        (height,) = rest or (0.0,)
-    except (TypeError, ValueError):
+    given = tuple(origin) if isinstance(origin, Iterable) else ()
+    if len(given) not in (2, 3):
         raise ValueError(
             f"origin must be latitude and longitude, °, and height, m, got {origin!r}."
-        ) from None
+        )
     return (
-        within("origin latitude", latitude, -90.0, 90.0),
-        within("origin longitude", longitude, -360.0, 360.0),
-        within("origin height", height, -1e5, 1e5),
+        within("origin latitude", given[0], -90.0, 90.0),
+        within("origin longitude", given[1], -360.0, 360.0),
+        within("origin height", given[2] if len(given) > 2 else 0.0, -1e5, 1e5),
     )
 
 

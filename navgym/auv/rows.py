@@ -188,17 +188,18 @@ def delayed(rows: Rows, late: Array) -> Rows:
     parts = []
     for lag in np.unique(late):
         y = np.where(late == lag, rows.y, np.nan)
-        full = ~np.isnan(y).all(axis=1)
-        if lag == late.min():
-            full[:] = True  # rows without any measurement stay, once
+        # rows without any measurement stay, once
+        index = np.flatnonzero((lag == late.min()) | ~np.isnan(y).all(axis=1))
         sigma = np.where(late == lag, rows.sigma, np.nan)
-        index = np.flatnonzero(full)
         moved = replace(rows, time=np.round(rows.time - lag, 9), y=y, sigma=sigma)
         parts.append(moved.take(index))
     joined = Rows(
-        *(np.concatenate([getattr(p, n) for p in parts]) for n in ("time", "lines", "y", "sigma")),
-        truth=None if rows.truth is None else np.concatenate([p.truth for p in parts]),
-        labels={n: np.concatenate([p.labels[n] for p in parts]) for n in rows.labels},
+        np.concatenate([p.time for p in parts]),
+        np.concatenate([p.lines for p in parts]),
+        np.concatenate([p.y for p in parts]),
+        np.concatenate([p.sigma for p in parts]),
+        None,  # below
+        {n: np.concatenate([p.labels[n] for p in parts]) for n in rows.labels},
     )
     joined = joined.take(np.argsort(joined.time, kind="stable"))
     if rows.truth is None:
@@ -228,8 +229,8 @@ def merged(rows: Rows, notes: Notes) -> Rows:
             raise ValueError(
                 f"{notes.file}, line {line}: another truth at the time of a row before."
             )
-    clash = differ.any(axis=1)
-    _tell(rows, first, counts, several.any(axis=1), clash, notes)
+    clash = np.asarray(differ.any(axis=1))
+    _tell(rows, first, counts, np.asarray(several.any(axis=1)), clash, notes)
     return replace(rows.take(first), y=y, sigma=sigma)
 
 

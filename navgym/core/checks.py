@@ -82,7 +82,7 @@ def _unmasked(field: str, value: Any, finite: bool) -> Any:
         return value
     if finite:
         raise ValueError(
-            f"{field} must hold a number everywhere, but {np.ma.count_masked(value)} of its entries "
+            f"{field} must hold a number everywhere, but {int(value.mask.sum())} of its entries "
             "are masked: fill them in, for example with .filled(...)."
         )
     return value.astype(np.float64).filled(np.nan) if value.dtype.kind in "biuf" else value

@@ -161,7 +161,7 @@ def _clocks(table: Table, column: str) -> tuple[Array, int]:
                 raise table.error(first + k, column, what)
     steps = np.diff(seconds, prepend=seconds[0])
     back = steps > LATE_ROW  # of yesterday, after the first rows of today
-    nights = np.cumsum(steps < -HALF_A_DAY) - np.cumsum(back)
+    nights: Integers = np.cumsum(steps < -HALF_A_DAY) - np.cumsum(back)
     return seconds + 86_400.0 * nights, int(nights.max())
 
 

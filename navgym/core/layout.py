@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
@@ -101,8 +101,8 @@ def cells(line: str, delimiter: str) -> list[str]:
         line = _DATE_BLANK_CLOCK.sub(r"\1T", line)
     if '"' in line:
         try:
-            marked = {"delimiter": delimiter, "skipinitialspace": True}
-            found = next(csv.reader([line.strip()], **marked), [])  # type: ignore[call-overload]
+            reader = csv.reader([line.strip()], delimiter=delimiter, skipinitialspace=True)
+            found = next(reader, [])
         except csv.Error:
             found = line.split(delimiter)
         found = [cell for cell in found if cell or delimiter != " "]
@@ -132,7 +132,7 @@ def _check(delimiter: str | None, decimal: str | None) -> None:
 def _sampled(text: bytes) -> list[tuple[int, int, str]]:
     """Number, end in bytes and text of the first lines that are not blank."""
 
-    def each():  # type: ignore[no-untyped-def]
+    def each() -> Iterator[tuple[int, int, str]]:
         end, number = 0, 1
         while (found := _INK.search(text, end)) is not None:
             start = text.rfind(b"\n", end, found.start()) + 1 or end

@@ -659,3 +659,17 @@ class TestSizes:
         assert np.array_equal(found.lost[:, 0], lost)
         assert np.array_equal(found.measurements[~lost, 0], values[~lost])
         assert np.array_equal(found.time, np.arange(count))
+
+
+def test_a_public_track_needs_no_option(akit):
+    """Radians, brackets and NED velocities; the same metres as its own reader's, to a decimetre.
+
+    That one takes the radii of curvature at the first sample, and leaves that sample out.
+    """
+    found = quietly(akit / "GT_trajectory1.csv")
+    own = navgym.read("akit", akit, track=1)
+    assert np.abs(found.measurements[1:] - own.truth)[:, [1, 3]].max() == 0
+    assert np.abs(found.measurements[1:] - own.truth).max() < 0.1
+    heading = quietly(akit / "GT_trajectory1.csv", lever_arm=(1.0, 0.0)).measurements
+    moved = np.linalg.norm((heading - found.measurements)[:, [0, 2]], axis=1)
+    assert moved == pytest.approx(1.0)
