@@ -147,7 +147,8 @@ def train(
         kept = checkpoints.to_continue(config.folder, _comparable(config), report)
     trainer = Trainer(config, report, command)
     if kept is not None:
-        trainer.take_up(kept)
+        with checkpoints.fitting(config.folder):
+            trainer.take_up(kept)
     trainer.run()
     return trainer.finish()
 

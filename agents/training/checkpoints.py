@@ -2,17 +2,20 @@
 
 A checkpoint is an npz written whole or not at all, with a hash of its content; the last two are
 kept. Networks and optimisers travel as torch's own bytes, which are read with `weights_only=True`:
-nothing is unpickled.
+nothing is unpickled. The hash notices damage and is no signature: a checkpoint that somebody forged
+ends in an error, not in their code.
 """
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
+import pickle
 import random
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,7 +31,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from navgym.agents.policies.portable import digest
 from navgym.agents.training.vec_env import LaneVecEnv
 from navgym.core.atomic import replacing
-from navgym.core.storage import read_npz
+from navgym.core.storage import parse_json, read_npz
 
 Report = Callable[[str], None]  # takes lines of progress
 
@@ -39,6 +42,12 @@ Arrays = dict[str, NDArray[Any]]
 _UNREADABLE = (
     ValueError, TypeError, EOFError, OSError, KeyError, zipfile.BadZipFile, zlib.error,
     NotImplementedError,
+)  # fmt: skip
+
+# what arrays and facts of other names, types and shapes end in; torch's word for what it won't unpickle
+_MISFITS = (
+    KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, RuntimeError, EOFError,
+    pickle.UnpicklingError,
 )  # fmt: skip
 
 
@@ -104,7 +113,8 @@ def to_continue(
         report(f"{problem}: " + ("going back to the one before" if found else "starting anew"))
     if found is None:
         return None
-    was = current(found.facts["configuration"])
+    with fitting(folder):
+        was = current(found.facts["configuration"])
     differing = sorted(n for n in {*was, *configuration} if was.get(n) != configuration.get(n))
     if differing:
         name = differing[0]
@@ -131,7 +141,23 @@ def _load(path: Path) -> Checkpoint:
     arrays = read_npz(path, "is no checkpoint, or is truncated", "Remove it.")
     if str(arrays.pop("sha256")) != digest(arrays):
         raise ValueError("its content does not match its hash")
-    return Checkpoint(arrays, json.loads(str(arrays.pop("facts"))))
+    facts = parse_json(str(arrays.pop("facts")))
+    if not isinstance(facts, dict):
+        raise ValueError("it lacks its facts")  # noqa: TRY004 - a file's fault
+    return Checkpoint(arrays, facts)
+
+
+@contextlib.contextmanager
+def fitting(folder: Path) -> Iterator[None]:
+    """ValueError where what a checkpoint holds, whole as it is, is not what the block asks of it."""
+    try:
+        yield
+    except _MISFITS as error:
+        what = f"{type(error).__name__}: {str(error)[:200]}"
+        raise ValueError(
+            f"the checkpoint in {folder} was written by another navgym or is forged ({what}): start "
+            "anew (--fresh), or name another folder (--out)."
+        ) from error
 
 
 # ---- the state of a learner ----------------------------------------------------------------------

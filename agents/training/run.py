@@ -70,8 +70,10 @@ def _continued(config: Configuration, report: Report) -> Checkpoint | None:
     found = checkpoints.to_continue(config.folder, comparable(config), report, current)
     if found is None:
         return None
-    before, today = found.facts["versions"], versions()
-    changed = [f"{k} {v} then, {today.get(k)} now" for k, v in before.items() if today.get(k) != v]
+    today = versions()
+    with checkpoints.fitting(config.folder):
+        before = found.facts["versions"].items()
+    changed = [f"{k} {v} then, {today.get(k)} now" for k, v in before if today.get(k) != v]
     if changed:
         report(f"the checkpoint is of other versions ({', '.join(changed)}): bits may differ")
     return found

@@ -66,7 +66,8 @@ class Trainer:
         sinks = ["tensorboard"] if importlib.util.find_spec("tensorboard") else []
         self.model.set_logger(configure(str(self.config.folder / "tensorboard"), sinks))
         if kept is not None:
-            self._take_up(kept)
+            with checkpoints.fitting(self.config.folder):
+                self._take_up(kept)
         elif self.config.clone:
             from navgym.agents.training.cloning import clone
 

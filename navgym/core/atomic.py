@@ -61,3 +61,17 @@ def writable_folder(name: str, path: Path) -> Path:
             "name another."
         ) from error
     return path
+
+
+def possible_folder(name: str, path: Path) -> Path:
+    """`path`; ValueError, naming the field, where no such folder can be made. Nothing is made yet."""
+    above = path.absolute()
+    while not above.exists() and above != above.parent:
+        above = above.parent
+    if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):
+        why = "cannot be written to" if above.is_dir() else "is no folder"
+        raise ValueError(
+            f"{name} must be a folder that can be written to, got {str(path)!r} ({above} {why}): name "
+            "another."
+        )
+    return path

@@ -1,5 +1,7 @@
 """A checkpoint is whole or it is passed over, and never unpickled."""
 
+import os
+
 import numpy as np
 import pytest
 
@@ -53,6 +55,35 @@ class TestCheckpoints:
         found, problems = checkpoints.latest(folder)
         assert found.facts["n"] == 300
         assert len(problems) == 1
+
+    @pytest.mark.parametrize("facts", [[1], 3, None, "text"])
+    def test_one_without_facts_is_passed_over(self, folder, facts):
+        checkpoints.save(folder, 400, Checkpoint({"x": np.arange(3)}, facts))
+        found, problems = checkpoints.latest(folder)
+        assert found.facts["n"] == 300
+        assert "lacks its facts" in problems[0]
+
+    @pytest.mark.parametrize("facts", [{}, {"configuration": 3}, {"configuration": [[1]]}])
+    def test_one_whose_facts_were_forged_is_refused_and_names_the_remedy(self, tmp_path, facts):
+        checkpoints.save(tmp_path / "checkpoints", 400, Checkpoint({"x": np.arange(3)}, facts))
+        with pytest.raises(
+            ValueError, match=r"another navgym or is forged .*: start anew \(--fresh"
+        ):
+            checkpoints.to_continue(tmp_path, {"seed": 1}, pytest.fail)
+
+    def test_networks_that_were_forged_run_nobodys_code(self, tmp_path):
+        trace = tmp_path / "foreign code ran"
+
+        class Trap:
+            def __reduce__(self):
+                return os.mkdir, (str(trace),)
+
+        forged = {"networks": checkpoints.packed({"parts": Trap()})}
+        checkpoints.save(tmp_path / "checkpoints", 400, Checkpoint(forged, {"configuration": {}}))
+        kept = checkpoints.to_continue(tmp_path, {}, pytest.fail)
+        with pytest.raises(ValueError, match="is forged"), checkpoints.fitting(tmp_path):
+            checkpoints.unpacked(kept.arrays["networks"])
+        assert not trace.exists()
 
     def test_none_is_none(self, tmp_path):
         assert checkpoints.latest(tmp_path / "absent") == (None, [])

@@ -3,6 +3,8 @@
 import itertools
 import json
 import os
+import pickle
+import re
 import signal
 import socket
 import subprocess
@@ -77,6 +79,44 @@ def test_a_damaged_journal_is_refused_with_its_line(journal, damage):
     with pytest.raises(ValueError, match=r"damaged at line 5: .*Move the file away"):
         run(journal, 4)
     assert journal.read_bytes() == b"".join(lines)
+
+
+def test_a_journal_that_was_forged_runs_nobodys_code(journal, tmp_path, monkeypatch):
+    # Optuna keeps the optimiser of CMA-ES in the study as a pickle
+    monkeypatch.setattr(search_space, "STARTUP_TRIALS", 4)
+    whole = results(run(journal, 14, sampler="cma-es"))
+    trace = tmp_path / "foreign code ran"
+
+    class Trap:
+        def __reduce__(self):
+            return os.mkdir, (str(trace),)
+
+    pickled = re.compile(r'"(cma:optimizer:0)":"[0-9a-f]+"')
+    text = journal.read_text()
+    assert pickled.search(text)
+    forged = pickled.sub(rf'"\1":"{pickle.dumps(Trap()).hex()}"', text)
+    journal.write_text(re.sub(r'("cma:optimizer:[1-9]\d*"):"[0-9a-f]+"', r'\1:""', forged))
+    with pytest.raises(ValueError, match=r"it names posix\.mkdir.* damaged or forged"):
+        run(journal, 16, sampler="cma-es")
+    assert not trace.exists()
+    journal.write_text(text)
+    assert results(run(journal, 16, sampler="cma-es"))[:14] == whole
+
+
+@pytest.mark.parametrize("content", [b"hello" * 500, b"SQLite format 3\0" + b"x" * 5000])
+def test_a_database_that_is_damaged_is_refused(tmp_path, content):
+    (tmp_path / "a.db").write_bytes(content)
+    with pytest.raises(OSError, match=r"a\.db cannot be used: file is not a database"):
+        run(f"sqlite:///{tmp_path / 'a.db'}")
+    assert (tmp_path / "a.db").read_bytes() == content
+
+
+def test_a_line_that_nests_without_end_is_damage(journal):
+    run(journal, 3)
+    with journal.open("a") as file:
+        file.write("[" * 100_000 + "\n")
+    with pytest.raises(ValueError, match="is damaged at line"):
+        run(journal, 4)
 
 
 def test_a_file_that_is_no_journal_is_refused(journal):

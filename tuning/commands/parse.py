@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 import tyro
 
+from navgym.core.atomic import possible_folder
 from navgym.tuning import declared
 
 S = TypeVar("S")
@@ -27,11 +28,14 @@ def parse(
         default: what flags change; the dataclass's own defaults if not given.
 
     Raises:
-        ValueError: values that do not fit together.
+        ValueError: values that do not fit together; a folder `out` that cannot be.
         SystemExit: flags that cannot be read, or --help.
     """
     start: dict[str, Any] = {} if default is None else {"default": default}
     found: S = tyro.cli(kind, prog=f"navgym {name}", description=about, args=list(words), **start)
+    out = getattr(found, "out", None)
+    if isinstance(out, Path):  # not after the work
+        possible_folder("--out", out)
     return found
 
 

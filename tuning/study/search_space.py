@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import importlib.util
+import io
+import pickle
 import warnings
 from collections.abc import Mapping
 from typing import Any
@@ -89,7 +91,11 @@ def sampler_of(name: str, seed: int, count: int) -> optuna.samplers.BaseSampler:
 
 
 class _CovarianceSampler(optuna.samplers.CmaEsSampler):
-    """CMA-ES whose draws do not depend on a trial's number, which a kill may have moved on by one."""
+    """CMA-ES whose draws do not depend on a trial's number, which a kill may have moved on by one.
+
+    Optuna keeps the optimiser in the study as a pickle, and a journal or database may be others': here
+    nothing but an optimiser's arrays is unpickled.
+    """
 
     def sample_relative(
         self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
@@ -98,6 +104,44 @@ class _CovarianceSampler(optuna.samplers.CmaEsSampler):
         alike = copy.copy(trial)
         alike.number = 0
         return super().sample_relative(study, alike, search_space)
+
+    def _restore_optimizer(self, completed_trials: list[FrozenTrial]) -> Any:
+        """The optimiser as the last trial left it, or None."""
+        for trial in reversed(completed_trials):
+            mine = {
+                name: value
+                for name, value in trial.system_attrs.items()
+                if name.startswith(self._attr_key_optimizer)
+            }
+            if mine:
+                return _optimiser(self._concat_optimizer_attrs(mine))
+        return None
+
+
+class _Arrays(pickle.Unpickler):
+    """Reads an optimiser of `cmaes`, and nothing that could run other code."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        """What a pickle names; UnpicklingError for what no optimiser holds."""
+        held = {
+            "cmaes._cma": {"CMA"},
+            "numpy": {"dtype", "ndarray"},
+            "numpy._core.multiarray": {"_reconstruct", "scalar"},
+        }
+        if name not in held.get(module, ()):
+            raise pickle.UnpicklingError(f"it names {module}.{name}")
+        return super().find_class(module, name)
+
+
+def _optimiser(text: str) -> Any:
+    """An optimiser from its pickle in hexadecimal digits; ValueError for anything else."""
+    try:
+        return _Arrays(io.BytesIO(bytes.fromhex(text))).load()
+    except Exception as error:
+        raise ValueError(
+            f"the study holds no optimiser of CMA-ES where there should be one ({error}): it is damaged "
+            "or forged. Name another folder or storage."
+        ) from error
 
 
 def _gaussian_process(seed: int) -> optuna.samplers.BaseSampler:
