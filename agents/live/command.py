@@ -3,27 +3,44 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from typing import Any, BinaryIO
 
-from navgym.agents.live.lines import Noise, estimates
+from navgym.agents.live.lines import LONGEST_LINE, Format, Noise, estimates
 from navgym.agents.policies.policy import Policy, located
+from navgym.readers import ReaderOptions
 
 ABOUT = """Filter a log line by line, as it arrives, with parameters that a trained policy sets.
 
     navgym stream auv < my_log.csv > estimates.csv
     some_logger | navgym stream runs/mine/policy.npz --position-noise 1.5
+    some_logger | navgym stream auv --read position_noise 5 columns.px "north (m)"
 
-The first line of standard input names the columns: time (s) and any of px, vx, py, vy (m, m/s). Each
-further line is a sample, at any time after the last one; an empty cell or nan is a lost component
-(as are lost, lost_px, ...). After each, a line goes to standard output: state, standard
-deviations, normalised innovation squared, and whether the best fixed parameters are in force
-instead of the policy's. Why, and since when, is said on standard error.
+The first line of standard input names the columns: time (s) and any of px, vx, py, vy (m, m/s), or
+lat and lon; names and units are understood as everywhere ("North (m)", "Time [ms]"). Each further line is a sample, at any time after the last one; an empty cell or nan is a lost component
+(as are lost, lost_px, ...). After each, a line goes to standard output: time as it came, state,
+standard deviations, normalised innovation squared, and whether the best fixed parameters are in force
+instead of the policy's. Why, and since when, is said on standard error, and so is what was left out.
+
+A line whose time jumps is left out; if the next one goes on from there, the clock was set, and the
+filter begins anew. One measurement far off is an outlier; five that agree are where the vehicle is.
 
 POLICY is auv, which comes with navgym, or what `navgym train` wrote (policy.npz and policy.json)
 for navgym/AUVDropout-v0. Neither torch nor any extra of navgym is needed.
 """
+OPTIONS = {
+    "position_noise": "position",
+    "velocity_noise": "velocity",
+    "acceleration": "acceleration",
+}
+FORMAT = (
+    "columns",
+    "units",
+    "delimiter",
+    "time_scale",
+)  # reader options that make sense for a stream
 
 
 def parse(words: Sequence[str]) -> argparse.Namespace:
@@ -34,32 +51,58 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
     )  # fmt: skip
     add = parser.add_argument
     add("policy", help="path of the policy, with or without .npz, or: auv")
-    add("--position-noise", type=float, default=1.0, help="std of a position, m (%(default)s)")
-    add("--velocity-noise", type=float, default=0.1, help="std of a velocity, m/s (%(default)s)")
-    add("--acceleration", type=float, default=0.1, help="std of the vehicle's, m/s² (%(default)s)")
+    add("--position-noise", type=float, help="std of a position, m (1.0)")
+    add("--velocity-noise", type=float, help="std of a velocity, m/s (0.1)")
+    add("--acceleration", type=float, help="std of the vehicle's white one, m/s²/√Hz (0.1)")
     add("--step", type=float, default=1.0, help="usual step between samples, s (%(default)s)")
-    add("--delimiter", default=",", help="between cells (a comma); \\t: a tab")
+    add("--delimiter", help="between cells (a comma); \\t: a tab")
+    add(
+        "--read", nargs="+", default=[], metavar="WORD",
+        help="the same as words of any command that reads logs: a mapping file, pairs of "
+        f"{', '.join([*OPTIONS, *FORMAT])} and their values",
+    )  # fmt: skip
     return parser.parse_args(list(words))
 
 
 def main(words: Sequence[str]) -> int:
     """Filter standard input; returns the exit status."""
     options = parse(words)
+    noise, form = _told(options)
     policy = Policy.load(located(options.policy))
-    noise = Noise(
-        options.position_noise, options.velocity_noise, options.acceleration, options.step
-    )
-    delimiter = options.delimiter.replace("\\t", "\t")
-    # a broken byte spoils its line, not the stream
-    sys.stdin.reconfigure(errors="replace")  # type: ignore[union-attr]
-    try:
-        for line in estimates(sys.stdin, policy, noise, _notice, delimiter):
+    found = estimates(text_lines(sys.stdin.buffer), policy, noise, say, form)
+    with closing(found):
+        for line in found:
             print(line, flush=True)
-    except BrokenPipeError:  # whoever read the estimates has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
 
 
-def _notice(text: str) -> None:
+def text_lines(raw: BinaryIO) -> Iterator[str]:
+    """Lines of text as they arrive; a broken byte spoils its cell, not the stream.
+
+    Of a line that is too long come the first `LONGEST_LINE` bytes.
+    """
+    while line := raw.readline(LONGEST_LINE):
+        rest = line
+        while len(rest) == LONGEST_LINE and not rest.endswith(b"\n"):
+            rest = raw.readline(LONGEST_LINE)
+        yield line.decode("utf-8", errors="replace")
+
+
+def say(text: str) -> None:
     """Say something beside the estimates."""
     print(text, file=sys.stderr, flush=True)
+
+
+def _told(options: argparse.Namespace) -> tuple[Noise, Format]:
+    """What the words say of the noise, and of how lines are written."""
+    read = ReaderOptions.parsed(options.read).options("csv", (*OPTIONS, *FORMAT))
+    given: dict[str, Any] = {ours: read[name] for name, ours in OPTIONS.items() if name in read}
+    for name, ours in OPTIONS.items():
+        if getattr(options, name) is not None:
+            given[ours] = getattr(options, name)
+    form = {name: read[name] for name in FORMAT if read.get(name) is not None}
+    if options.delimiter is not None:
+        form["delimiter"] = options.delimiter
+    if "delimiter" in form:
+        form["delimiter"] = form["delimiter"].replace("\\t", "\t")
+    return Noise(step=options.step, **given), Format(**form)

@@ -4,28 +4,37 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from navgym.agents.live.clock import Clock
+from navgym.agents.live.notices import Notices
 from navgym.agents.live.streaming import SelfTuningFilter, Steering
-from navgym.auv.csv_log import ANNOTATIONS, STATES, default_model, lost_flags, measured_columns
+from navgym.auv.fields import ANNOTATIONS, GEOGRAPHIC, assign
+from navgym.auv.geodesy import checked_origin, from_plane, to_plane
+from navgym.auv.log import STATES
 from navgym.auv.settings import AUVDropoutSettings
-from navgym.core.checks import Array, one_of, within
-from navgym.core.tables import Table
+from navgym.core.checks import Array, within
+from navgym.core.layout import LOST
+from navgym.core.tables import FLAGS, Table
 from navgym.envs.live import LiveEstimate
 from navgym.statespace.models import LinearModel
 
 FILTER = AUVDropoutSettings.FILTER  # whose parameters policies set on such a log
+TIME = "time"
+MEASURED = (*STATES, *GEOGRAPHIC)
+UNSEEN = (*(f"truth_{name}" for name in STATES), *ANNOTATIONS)  # known, and of no use to a filter
+KNOWN = (TIME, *MEASURED, "lost", *(f"lost_{name}" for name in MEASURED), *UNSEEN)
 SOURCE = Path("input")  # what errors call it
-KNOWN = (
-    "time", *STATES, "lost", *(f"lost_{n}" for n in STATES), *(f"truth_{n}" for n in STATES),
-    *ANNOTATIONS,
-)  # fmt: skip
-LONGEST = 1000.0  # steps: a longer gap is taken for a wrong time until the next line confirms it
-COLUMNS = ("time", *STATES, *(f"std_{name}" for name in STATES), "nis", "fallback")
+COLUMNS = (TIME, *STATES, *(f"std_{name}" for name in STATES), "nis", "fallback")
+LONGEST_LINE = 100_000  # characters: a longer line is no row of a log
+START_SIGMAS = 10.0  # the filter is started from a line that it then takes in: that weighs 1 %
+SAME_TIME = Decimal("1e-6")  # s by which a second sensor's line of one time comes after the first
 
 
 @dataclass(frozen=True)
@@ -35,7 +44,7 @@ class Noise:
     Args:
         position: standard deviation of a measured position, m.
         velocity: of a measured velocity, m/s.
-        acceleration: of the vehicle's white acceleration, m/s².
+        acceleration: of the vehicle's white acceleration, m/s²/√Hz.
         step: s to the first sample.
     """
 
@@ -49,158 +58,294 @@ class Noise:
             within(name, getattr(self, name), 0.0, above=True)
 
 
+@dataclass(frozen=True)
+class Format:
+    """How the lines are written.
+
+    Args:
+        delimiter: one character between cells.
+        columns: the log's names where they differ, by ours: {"px": "north (m)"}.
+        units: of quantities or columns, such as {"px": "km"}, where the names do not tell them.
+        time_scale: seconds per unit of its time; by default the unit's, or 1.
+
+    Raises ValueError for a longer delimiter, or a scale that is not positive.
+    """
+
+    delimiter: str = ","
+    columns: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    time_scale: float | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.delimiter) != 1:
+            raise ValueError(f"delimiter must be one character, got {self.delimiter!r}.")
+        if self.time_scale is not None:
+            within("time_scale", self.time_scale, 0.0, above=True)
+
+
 def estimates(
     lines: Iterable[str],
     policy: Steering,
     noise: Noise,
     notice: Callable[[str], None],
-    delimiter: str = ",",
+    form: Format = Format(),
 ) -> Iterator[str]:
-    """Lines of text with the estimate after each line of a log as `navgym.read("csv", ...)` takes it.
+    """Lines of text with the estimate after each line of a log.
 
-    The first line that has every measured position starts the filter. A later line that cannot
-    be read, or whose time does not come after the last, is left out with a notice: at sea the
-    next one counts. So is one after a gap of over 1000 steps, unless the next goes on from there.
+    A line that cannot be read, or whose time comes late or twice, is left out, and the next one
+    counts. Where the clock was set (see `Clock`) the filter begins anew. Two lines of one time that
+    hold different components are two sensors: both count. Times come out as they went in.
 
     Args:
         lines: header first.
         policy: of the problem that reads such logs.
         noise: what the model believes.
-        notice: told of lines left out, of fall-backs and of restarts.
-        delimiter: between cells.
+        notice: told of lines left out, of fall-backs and of restarts; of the same, not for ever.
+        form: how the lines are written.
 
     Raises:
-        ValueError: a header without time or measurements, or with columns of unknown meaning; a
-            policy of another filter; a delimiter of more than one character.
+        ValueError: a header without time or measurements; a policy of another filter.
     """
-    if len(delimiter) != 1:
-        raise ValueError(f"delimiter must be one character, got {delimiter!r}.")
     SelfTuningFilter(FILTER, policy, LinearModel())  # says what is wrong with the policy
     rows = ((number, line) for number, line in enumerate(lines, start=1) if line.strip())
-    header = _cells(next(rows, (0, ""))[1].removeprefix("\ufeff"), delimiter)
-    measured = _checked_header(header)
-    clock = _Clock(LONGEST * noise.step)
-    yield ",".join(COLUMNS)
-    tuned: SelfTuningFilter | None = None
-    reason: str | None = None
-    for number, line in rows:
-        try:
-            time, y = _sample(header, _cells(line, delimiter), number, measured)
-            clock.check(time)
-            if tuned is None:
-                tuned = _started(time, y, measured, policy, noise)
-            found = None if tuned is None else tuned.step(y, time=time)
-            clock.last = time
-        except ValueError as error:
-            notice(f"left out: {error}")
-            continue
-        if found is None:
-            notice(f"time {time:g}: waiting for a first position")
-            continue
-        if found.fallback != reason and (found.fallback is None or reason is None):
-            notice(f"time {time:g}: {_told(found.fallback)}")
-        if found.diverged:
-            notice(f"time {time:g}: the filter diverged and was started again")
-        reason = found.fallback
-        yield _written(found)
+    told = Notices(notice)
+    header = _Header.of(next(rows, (0, ""))[1], form, told)
+    yield ",".join([*COLUMNS, *(GEOGRAPHIC if header.round else ())])
+    with told:
+        yield from _Log(header, policy, noise, told).answers(rows)
 
 
-class _Clock:
-    """Times of a log, in which a single wrong one must not silence all that follow.
+class _Log:
+    """A log under way.
 
     Args:
-        longest: s; a longer gap is doubted until the next line goes on from there.
+        header: of the lines.
+        policy, noise, told: as `estimates` has them.
     """
 
-    def __init__(self, longest: float) -> None:
-        self.longest = longest
-        self.last: float | None = None  # time of the last line that was taken
-        self.doubted: float | None = None
+    def __init__(self, header: _Header, policy: Steering, noise: Noise, told: Notices) -> None:
+        self.header, self.policy, self.noise, self.told = header, policy, noise, told
+        self.clock, self.plane = Clock(noise.step), _Plane()
+        self.heard = np.zeros(len(header.measured), dtype=np.bool_)  # at the time of the last line
+        self.late = Decimal(0)  # s that it has been put off by
+        self.tuned: SelfTuningFilter | None = None
+        self.reason: str | None = None
 
-    def check(self, time: float) -> None:
-        """Raise ValueError for a time that is doubted."""
-        last, doubted = self.last, self.doubted
-        self.doubted = None
-        if last is None or time - last <= self.longest:
-            return
-        if doubted is None or not 0.0 < time - doubted <= self.longest:
-            self.doubted = time
+    def answers(self, rows: Iterable[tuple[int, str]]) -> Iterator[str]:
+        """A line for each line that is taken in, once there is a first position."""
+        for number, line in rows:
+            try:
+                text, time, cells = self.header.sample(line)
+                found = self._taken(number, time, self._flat(cells))
+            except ValueError as error:
+                self.told("left out", f"left out, line {number}: {error}")
+                continue
+            if found is None:
+                self.told("waiting", f"time {text}: waiting for a first position")
+                continue
+            self._tell(found, text)
+            yield ",".join([_written(found, text), *self._round(found)])
+
+    def _flat(self, cells: Mapping[str, float]) -> Array:
+        """The measurement (m,) in m and m/s."""
+        known = dict(cells)
+        if self.header.round:
+            known["px"], known["py"] = self.plane.flat([cells[name] for name in GEOGRAPHIC])
+        return np.array([known[name] for name in self.header.measured])
+
+    def _round(self, found: LiveEstimate) -> list[str]:
+        return self.plane.written(found.state) if self.header.round else []
+
+    def _taken(self, number: int, time: Decimal, y: Array) -> LiveEstimate | None:
+        """The estimate after a sample, None before the first; ValueError for one that is left out."""
+        received, last = ~np.isnan(y), self.clock.last
+        if time == last and self.tuned is not None and not (received & self.heard).any():
+            self.heard |= received
+            self.late += SAME_TIME
+            return self.tuned.step(y, time=time + self.late)
+        if not self.clock.goes_on(time):
+            what = f"the clock was set from {last} to {time}: the filter begins anew"
+            self.told("clock", f"line {number}: {what}")
+            self.tuned = None
+        if self.tuned is None:
+            self.tuned = _started(y, self.header.measured, self.policy, self.noise)
+        self.heard, self.late = received, Decimal(0)
+        return None if self.tuned is None else self.tuned.step(y, time=time)
+
+    def _tell(self, found: LiveEstimate, text: str) -> None:
+        """Say what has changed."""
+        if found.fallback is None and self.reason is not None:
+            self.told("back", f"time {text}: the policy sets the parameters again")
+        elif found.fallback is not None and self.reason is None:
+            what = f"fell back to the best fixed parameters: {found.fallback}"
+            self.told("fell back", f"time {text}: {what}")
+        if found.diverged:
+            self.told("restarts", f"time {text}: the filter lost the track and was started again")
+        self.reason = found.fallback
+
+
+@dataclass(frozen=True)
+class _Header:
+    """The columns of a log.
+
+    Args:
+        names: what each holds, "" for one that says nothing to a filter.
+        scales: of the quantities to s, m, m/s or rad.
+        form: how the lines are written.
+    """
+
+    names: tuple[str, ...]
+    scales: Mapping[str, float]
+    form: Format
+
+    @classmethod
+    def of(cls, line: str, form: Format, told: Notices) -> _Header:
+        """From the first line; ValueError where it names no time or measurement, or one twice.
+
+        Names are understood as `navgym.read("csv", ...)` understands them, units among them.
+        """
+        _refuse_long(line)
+        given = _cells(line.removeprefix("\ufeff"), form.delimiter)
+        if len(set(given)) < len(given):
+            raise ValueError(f"two columns have the same name: {', '.join(given)}.")
+        table = Table(SOURCE, dict.fromkeys(given, ()), ())
+        fields = assign(table, KNOWN, form.columns, form.units)
+        held = {field.column: quantity for quantity, field in fields.items()}
+        if TIME not in fields or not set(MEASURED) & fields.keys():
             raise ValueError(
-                f"time jumps from {last:g} to {time:g}: if the next line goes on from there, so will "
-                "the filter."
+                "the first line must name the columns (time, and px, vx, py, vy or some, or lat and "
+                f"lon), got {', '.join(given) or 'nothing'}: say which is which with --read "
+                "columns.px NAME."
             )
+        foreign = [name for name in given if name not in held]
+        if foreign:
+            told("columns", f"columns of unknown meaning, not looked at: {', '.join(foreign)}")
+        scales = {quantity: field.scale(SOURCE.name) for quantity, field in fields.items()}
+        if form.time_scale is not None:
+            scales[TIME] = form.time_scale
+        return cls(tuple(held.get(name, "") for name in given), scales, form)
+
+    @property
+    def round(self) -> bool:
+        """Whether positions are in latitude and longitude."""
+        return set(GEOGRAPHIC) <= set(self.names)
+
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """The measurements, in the order of the states."""
+        there = {*self.names, *(("px", "py") if self.round else ())}
+        return tuple(name for name in STATES if name in there)
+
+    def sample(self, line: str) -> tuple[str, Decimal, dict[str, float]]:
+        """Time as text and in s, and what was measured, NaN where lost; ValueError for none."""
+        _refuse_long(line)
+        cells = _cells(line, self.form.delimiter)
+        if len(cells) != len(self.names):
+            raise ValueError(f"{len(cells)} cells, but the header names {len(self.names)}.")
+        found = dict(zip(self.names, cells, strict=True))
+        text = found[TIME]
+        if not math.isfinite(_number(text)):
+            raise ValueError(f"column 'time' must be a finite number, got {text!r}.")
+        scale, time = self.scales[TIME], Decimal(text)
+        if scale != 1.0:
+            time *= Decimal(str(scale))
+        wanted = (name for name in MEASURED if name in found)
+        return text, time, {name: self._measured(found, name) for name in wanted}
+
+    def _measured(self, found: Mapping[str, str], name: str) -> float:
+        """A cell as a number in m, m/s or rad, NaN where it was lost."""
+        gone = False
+        for column in ("lost", f"lost_{name}"):
+            flag = found.get(column, "0")
+            if flag.lower() not in FLAGS:
+                raise ValueError(f"column {column!r} must be 0, 1, true or false, got {flag!r}.")
+            gone = gone or FLAGS[flag.lower()]
+        cell = found[name]
+        value = math.nan if cell.lower() in LOST else _number(cell)
+        if not math.isfinite(value) and cell.lower() not in LOST:
+            raise ValueError(
+                f"column {name!r} must be a finite number, or nothing where lost, got {cell!r}."
+            )
+        return math.nan if gone else value * self.scales[name]
+
+
+class _Plane:
+    """Metres north and east of the first position of a log in latitude and longitude, and back."""
+
+    def __init__(self) -> None:
+        self._origin: tuple[float, float, float] | None = None
+
+    def flat(self, angles: Sequence[float]) -> Array:
+        """px, py of latitude and longitude, rad; NaN where one is lost."""
+        lat, lon = (math.degrees(angle) for angle in angles)
+        if math.isnan(lat) or math.isnan(lon):
+            return np.full(2, np.nan)
+        if self._origin is None:
+            self._origin = checked_origin((lat, lon))
+        checked_origin((lat, lon))
+        return to_plane(lat, lon, self._origin, None)[:2]
+
+    def written(self, state: Array) -> list[str]:
+        """Latitude and longitude of a state, degrees, as text."""
+        assert self._origin is not None
+        return [f"{float(angle):.9f}" for angle in from_plane(state[0], state[2], self._origin)]
+
+
+def _refuse_long(line: str) -> None:
+    if len(line) >= LONGEST_LINE:
+        raise ValueError(f"it begins with {line[:20]!r} and has {LONGEST_LINE} characters or more.")
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
     """Stripped cells of a line; ValueError for one that is no CSV."""
     try:
-        return [
-            cell.strip()
-            for cell in next(csv.reader([line.rstrip("\r\n")], delimiter=delimiter), [])
-        ]
+        cells = next(csv.reader([line.rstrip("\r\n")], delimiter=delimiter), [])
     except csv.Error as error:
-        raise ValueError(f"{line!r} is no line of a CSV file: {error}.") from error
+        raise ValueError(f"{line[:80]!r} is no line of a CSV file: {error}.") from error
+    return [cell.strip() for cell in cells]
 
 
-def _checked_header(header: Sequence[str]) -> list[str]:
-    """Names of the measured columns."""
-    if "time" not in header:
-        raise ValueError(
-            f"the first line must name the columns (time, and px, vx, py, vy or some), got "
-            f"{', '.join(header) or 'nothing'}."
-        )
-    for name in header:
-        one_of("column", name, KNOWN)
-    if len(set(header)) < len(header):
-        raise ValueError(f"two columns have the same name: {', '.join(header)}.")
-    return measured_columns(Table(SOURCE, dict.fromkeys(header, ()), ()))
-
-
-def _sample(
-    header: Sequence[str], cells: Sequence[str], number: int, measured: Sequence[str]
-) -> tuple[float, Array]:
-    """Time and measurement (m,) of one line; ValueError, naming the line, where there is none."""
-    if len(cells) != len(header):
-        raise ValueError(
-            f"{SOURCE}, line {number}: {len(cells)} cells, but the header names {len(header)}."
-        )
-    table = Table(SOURCE, {h: (cell,) for h, cell in zip(header, cells, strict=True)}, (number,))
-    y = np.array([table.numbers(name, gaps=True)[0] for name in measured])
-    y[lost_flags(table, measured)[0]] = np.nan
-    return float(table.numbers("time")[0]), y
+def _number(cell: str) -> float:
+    """A cell as a float, NaN if it is none ("1_000" is one to Python, but not in a log)."""
+    try:
+        return math.nan if "_" in cell else float(cell)
+    except ValueError:
+        return math.nan
 
 
 def _started(
-    time: float,
-    y: Array,
-    measured: Sequence[str],
-    policy: Steering,
-    noise: Noise,
+    y: Array, measured: Sequence[str], policy: Steering, noise: Noise
 ) -> SelfTuningFilter | None:
     """The filter, started by a line's position (and velocity); None where a position is missing."""
     known = dict(zip(measured, y.tolist(), strict=True))
     if any(math.isnan(known.get(name, 0.0)) for name in ("px", "py")):
         return None
-    sigmas = np.array([noise.position, noise.velocity] * 2)
-    start = default_model(np.array([time]), y[None], measured, sigmas, noise.acceleration)
-    before = start.x0.copy()
-    before[[0, 2]] += before[[1, 3]] * (1.0 - noise.step)  # made for a step of 1 s
+    axes = [_start(known.get(p), known.get(v), noise) for p, v in (("px", "vx"), ("py", "vy"))]
+    x0 = np.concatenate([x for x, _ in axes])
+    P0 = np.zeros((4, 4))
+    P0[:2, :2], P0[2:, 2:] = axes[0][1], axes[1][1]
+    rows = [STATES.index(name) for name in measured]
+    H, R = np.eye(4)[rows], np.diag(np.array([noise.position, noise.velocity] * 2)[rows] ** 2)
 
     def model(step: float) -> LinearModel:
         Q = LinearModel.white_acceleration(step, noise.acceleration).Q
-        return LinearModel(dt=step, H=start.H, Q=Q, R=start.R, x0=before, P0=start.P0)
+        return LinearModel(dt=step, H=H, Q=Q, R=R, x0=x0, P0=P0)
 
     return SelfTuningFilter(FILTER, policy, model, interval=noise.step)
 
 
-def _told(reason: str | None) -> str:
-    if reason is None:
-        return "the policy sets the parameters again"
-    return f"fell back to the best fixed parameters: {reason}"
+def _start(p: float | None, v: float | None, noise: Noise) -> tuple[Array, NDArray[np.float64]]:
+    """State and covariance of one axis a step before its first position (0 if it has none)."""
+    moving = v is not None and not math.isnan(v)
+    velocity = v if moving and v is not None else 0.0
+    spread = noise.velocity if moving else noise.position / noise.step
+    x = np.array([(p or 0.0) - velocity * noise.step, velocity])
+    variances = [noise.position**2 + (spread * noise.step) ** 2, spread**2]
+    return x, START_SIGMAS**2 * np.diag(variances)
 
 
-def _written(found: LiveEstimate) -> str:
-    numbers = [found.time, *found.state.tolist(), *np.sqrt(found.covariance.diagonal()).tolist()]
-    cells = [f"{value:.10g}" for value in numbers]
+def _written(found: LiveEstimate, text: str) -> str:
+    numbers = [*found.state.tolist(), *np.sqrt(found.covariance.diagonal()).tolist()]
     nis = "" if math.isnan(found.nis) else f"{found.nis:.6g}"
-    return ",".join([*cells, nis, "0" if found.fallback is None else "1"])
+    cells = (f"{value:.10g}" for value in numbers)
+    return ",".join([text, *cells, nis, "0" if found.fallback is None else "1"])

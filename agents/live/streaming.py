@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from decimal import Decimal
 from types import MappingProxyType
 from typing import Any, Protocol
 
@@ -14,7 +15,7 @@ from navgym.core.checks import Array
 from navgym.envs.live import CONTROLLED, REFERENCE, LiveEstimate, LiveLane
 from navgym.problem import Problem, problems
 
-DIVERGED = "the filter diverged and was started again"
+DIVERGED = "the filter lost the track and was started again"
 
 
 class Steering(Protocol):
@@ -38,8 +39,9 @@ class SelfTuningFilter:
     second filter runs beside with the best fixed parameters (`policy.manifest.reference`); while
     there is a reason not to trust the policy (see `FallbackRule`) the answers are that filter's.
     The policy's own filter goes on meanwhile, and when the reason has passed, it answers again.
-    Where a filter diverges, it goes on from the other one; where both do, it starts again as its
-    live lane says: from the last sound state with a wider covariance, or anew with a warm-up.
+    Where a filter diverges or loses the track, it goes on from the other one; where both do, it
+    starts again as its live lane says: from the state before the samples that agree on another track,
+    widened as far as they contradict it (`navgym.auv.live`), or anew with a warm-up.
 
     Args:
         filter_name: of an environment: "qivbf" or "idam".
@@ -111,8 +113,21 @@ class SelfTuningFilter:
         """Why the policy is not in force, or None."""
         return self._guard.reason
 
+    @property
+    def time(self) -> float | Decimal | None:
+        """Time of the last sample, s; None before the first."""
+        return self._lane.time
+
+    def restart_clock(self) -> None:
+        """The clock was set: the next sample comes a usual step after the last, whatever its time.
+
+        What is known of the state stays. Where a clock jumps because nothing was measured for long,
+        `reset` is better: it begins anew at the model's x0, P0.
+        """
+        self._lane.time = None
+
     def step(
-        self, measurement: Any, lost: Any = None, time: float | None = None
+        self, measurement: Any, lost: Any = None, time: float | Decimal | None = None
     ) -> LiveEstimate | None:
         """Take in a sample; returns the estimate after it.
 
@@ -122,14 +137,17 @@ class SelfTuningFilter:
                 velocity, all of one interval. NaN counts as lost.
             lost: one flag, or one per component (for idam per row or element), True where nothing
                 was received.
-            time: s, increasing; by default the step that the model is made for.
+            time: s, increasing; by default the step that the model is made for. Steps between
+                large times, such as seconds since 1970, are exact where they are given as
+                `decimal.Decimal`.
 
         Returns:
             The estimate; for idam None between filter steps, of `samples_per_step` samples each.
 
         Raises:
             ValueError: a wrong shape, infinity, time that does not increase, or a step that the
-                model is not made for. Nothing has changed then.
+                model is not made for. Nothing has changed then: a single late sample is left out by
+                going on with the next; where the clock was set, call `restart_clock` first.
         """
         self._lane.put(measurement, lost, time)
         return self._filter()

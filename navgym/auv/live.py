@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from decimal import Decimal
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from navgym.auv.settings import AUVDropoutSettings
 from navgym.core.checks import Array, real_array, within
 from navgym.core.health import NUMERICAL
 from navgym.envs.base import TALLY
-from navgym.envs.live import CONTROLLED, REFERENCE, LiveLane, flags, pooled
+from navgym.envs.live import CONTROLLED, REFERENCE, LiveLane, checked_time, flags, pooled, since
 from navgym.statespace.filters import kalman, qivbf
 from navgym.statespace.models import LinearModel
 
@@ -102,7 +103,9 @@ class LiveAUV(LiveLane):
 
     def reset(self) -> None:
         """Go back to x0, P0, one step before the first sample."""
-        self.time = None
+        self.time: float | Decimal | None = None
+        self._elapsed: float | None = None  # the kernels' time of the last sample
+        self._origin: float | Decimal = 0.0  # and where that begins
         self.k = 0
         self._waiting = False
         self._step = self._interval
@@ -115,16 +118,16 @@ class LiveAUV(LiveLane):
 
     # ---- samples ---------------------------------------------------------------------------
 
-    def put(self, measurement: Any, lost: Any = None, time: float | None = None) -> None:
+    def put(self, measurement: Any, lost: Any = None, time: float | Decimal | None = None) -> None:
         """Take in one sample; see `agents.SelfTuningFilter.step`."""
         y = self._checked(measurement)
         if lost is not None:
             y[flags(lost, y.shape)] = np.nan
-        now = self._checked_time(time)
-        self._follow(now)
+        now, step = self._timed(time)
+        self._follow(step, now)
         self._y[...] = y
         self._lost[...] = 0 if math.isfinite(y.sum()) else np.isnan(y)
-        self._sample["time"][0] = now
+        self._sample["time"][0] = self._elapsed = self._since_origin(now, step)
         self.time = now
         self._waiting = True
 
@@ -170,16 +173,33 @@ class LiveAUV(LiveLane):
             raise ValueError(f"measurement must be finite or NaN, got {y}: mark it as lost.")
         return y
 
-    def _checked_time(self, time: float | None) -> float:
+    def _timed(self, time: float | Decimal | None) -> tuple[float | Decimal, float]:
+        """Time of the sample, and the step to it, s; ValueError for one that is not after the last."""
         if time is None:
-            return (0.0 if self.time is None else self.time) + self._usual()
-        now = float(time)
-        if not np.isfinite(now) or (self.time is not None and now <= self.time):
+            step = self._usual()
+            return (0.0 if self.time is None else float(self.time)) + step, step
+        now = checked_time(time)
+        if self.time is None:
+            return now, self._usual()
+        step = since(now, self.time)
+        if not step > 0.0:
             raise ValueError(
                 f"time must be finite and increase, got {time} after {self.time}: drop samples that "
-                "come late or twice."
+                "come late or twice; where the clock was set, call restart_clock() first."
             )
-        return now
+        return now, step
+
+    def _since_origin(self, now: float | Decimal, step: float) -> float:
+        """The sample's time as the kernels have it, s: small, and without a jump of the clock.
+
+        Times that are floats are taken as they are, as a recording's are.
+        """
+        if self.time is None:
+            if self._elapsed is None:
+                self._origin = now if isinstance(now, Decimal) else 0.0
+            else:
+                self._origin = now - type(now)(self._elapsed + step)  # type: ignore[operator]
+        return since(now, self._origin)
 
     # ---- the model of the step -----------------------------------------------------------------
 
@@ -189,11 +209,11 @@ class LiveAUV(LiveLane):
             return self._interval
         return self._steps[min(self.k, len(self._steps) - 1)]
 
-    def _follow(self, now: float) -> None:
-        """Bring the model to the step that ends at `now`."""
-        step = self._usual() if self.time is None else now - self.time
+    def _follow(self, step: float, now: float | Decimal) -> None:
+        """Bring the model to a step that ends at `now`."""
         if self._made is not None:
-            if abs(step - self._step) > SAME_STEP * self._step:
+            unsure = 0.0 if isinstance(now, Decimal) else 2.0 * math.ulp(now)
+            if abs(step - self._step) > SAME_STEP * self._step + unsure:
                 made = linear(self._made(step))
                 self._use(made, made.pack()[0])
                 self._step = step

@@ -66,16 +66,20 @@ def _is_open(number: int) -> bool:
 
 
 def lost() -> OSError | None:
-    """Why what was printed could not be written, or None; what is printed later then leads nowhere."""
+    """Why what was printed could not be written, or None; what is printed later then leads nowhere.
+
+    Each reason is given once.
+    """
     error = None
     try:
         sys.stdout.flush()
     except OSError as found:
         error = found
-    error = error or getattr(
-        getattr(getattr(sys.stdout, "buffer", None), "raw", None), "error", None
-    )
+    raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
+    error = error or getattr(raw, "error", None)
     if error is not None:
+        if isinstance(raw, _Tolerant):
+            raw.error = None  # it is told of once
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())
         os.close(nowhere)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from decimal import Decimal
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from navgym.deck.mechanization import TAPE, begin_lever
 from navgym.deck.model import DeckModel
 from navgym.deck.settings import DeckDeformationSettings
 from navgym.envs.base import TALLY
-from navgym.envs.live import LiveEstimate, LiveLane, flags, pooled
+from navgym.envs.live import LiveEstimate, LiveLane, checked_time, flags, pooled, since
 
 FIRST = 3  # samples that the rate at the start is extrapolated from
 SHAPE = (4, 3)  # a sample: angle and velocity increments of the main, then of the sub IMU
@@ -163,7 +164,7 @@ class LiveDeck(LiveLane):
         self,
         measurement: Any,
         lost: Any = None,
-        time: float | None = None,
+        time: float | Decimal | None = None,
         disturbance: Array | None = None,
     ) -> None:
         """Take in one sample of both IMUs; see `agents.SelfTuningFilter.step`.
@@ -186,13 +187,19 @@ class LiveDeck(LiveLane):
             self._last = sample
             self._pending.append((sample, not whole))
 
-    def _checked_time(self, time: float | None) -> float:
-        usual = (0.0 if self.time is None else self.time) + self.interval
-        now = usual if time is None else float(time)
-        if self.time is not None and not abs(now - usual) <= LATE * self.interval:
+    def _checked_time(self, time: float | Decimal | None) -> float | Decimal:
+        if time is None:
+            return (0.0 if self.time is None else float(self.time)) + self.interval
+        now = checked_time(time)
+        if self.time is None:
+            return now
+        step = since(now, self.time)
+        unsure = 0.0 if isinstance(now, Decimal) else 2.0 * math.ulp(now)
+        if not abs(step - self.interval) <= LATE * self.interval + unsure:
             raise ValueError(
                 f"time must move by the interval of {self.interval:.6g} s, got {time} after "
-                f"{self.time}: pass missed samples as lost ones, and bring uneven ones to a grid."
+                f"{self.time}: pass missed samples as lost ones, and bring uneven ones to a grid; "
+                "where the clock was set, call restart_clock() first."
             )
         return now
 

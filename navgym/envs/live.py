@@ -7,8 +7,10 @@ reference's; whoever steers can compare them, and go over to the other at any ti
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from typing import Any, ClassVar
 
 import numpy as np
@@ -36,7 +38,7 @@ class LiveEstimate:
     """What the filter knows after a sample. The arrays belong to whoever gets it.
 
     Args:
-        time: s.
+        time: s, as it was given.
         state: (n,) posterior mean.
         covariance: (n, n).
         nis: normalised innovation squared; NaN where nothing was received.
@@ -45,7 +47,7 @@ class LiveEstimate:
         diverged: whether the filter failed at this sample and was started again.
     """
 
-    time: float
+    time: float | Decimal
     state: Array
     covariance: Array
     nis: float
@@ -66,7 +68,7 @@ class LiveLane:
     lanes: NDArray[Any]
     stations: NDArray[Any]
     tally: Array  # sums since it was last emptied, by the columns of `navgym.envs.base`
-    time: float | None  # s, of the last sample
+    time: float | Decimal | None  # s, of the last sample; None: whatever the next one says
     components: int  # of a filter step's innovation that are judged together
     begins_anew: ClassVar[bool] = False  # warm-up included, where both filters failed
 
@@ -96,7 +98,7 @@ class LiveLane:
         """Begin anew, with the next sample."""
         raise NotImplementedError
 
-    def put(self, measurement: Any, lost: Any = None, time: float | None = None) -> None:
+    def put(self, measurement: Any, lost: Any = None, time: float | Decimal | None = None) -> None:
         """Take in one sample; see `agents.SelfTuningFilter.step`."""
         raise NotImplementedError
 
@@ -138,6 +140,21 @@ class LiveLane:
         bad = CONTROLLED if failed & 1 else REFERENCE
         self.lanes[bad] = self.lanes[1 - bad]
         self.tally[:] = 0.0
+
+
+def since(time: float | Decimal, last: float | Decimal) -> float:
+    """Seconds from `last` to `time`, exact where both are exact."""
+    if type(time) is type(last):
+        return float(time - last)  # type: ignore[operator]
+    return float(Decimal(time) - Decimal(last))
+
+
+def checked_time(time: Any) -> float | Decimal:
+    """A time, s; ValueError where it is not finite."""
+    now = time if isinstance(time, Decimal) else float(time)
+    if not math.isfinite(now):
+        raise ValueError(f"time must be finite, got {time}.")
+    return now
 
 
 def flags(lost: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
