@@ -276,7 +276,12 @@ class Log:
             self.notes.say(f"{without} measurements without an accuracy have the default noise")
         names = [name for i, name in enumerate(self.measured) if told[:, i].any()]
         self.notes.say(f"R of {', '.join(names)} is the receiver's own, row by row")
-        return replace(model, R=R)
+        if self.believed is not None:
+            return replace(model, R=R)
+        # x0 passes through the first values, which may be worse than the default noise
+        first = np.argmax(~np.isnan(rows.y), axis=0), np.arange(len(self.measured))
+        worse = np.nanmax(np.fmax(rows.sigma[first], 0.0) ** 2 / np.diagonal(model.R))
+        return replace(model, R=R, P0=model.P0 * max(1.0, float(worse)))
 
     def meta(self) -> dict[str, Any]:
         """What a recording keeps of the reading."""

@@ -466,6 +466,14 @@ class TestAccuracies:
         believed = navgym.estimate("kf", quietly(log(lines("time,px,py,sigma_position", rows))))
         assert np.abs(believed.states[21:, 0]).max() < 4.0
 
+    def test_a_bad_first_fix_weighs_no_more_than_a_good_one(self, log):
+        """x0 is made from it, at ten sigma: a hundredth of its own accuracy's weight."""
+        rows = [(k, 0, 0, 30 if k == 0 else 1) for k in range(5)]
+        found = quietly(log(lines("time,px,py,sigma_position", rows))).model
+        assert found.P0[0, 0] >= 100 * 30**2
+        plain = quietly(log(lines("time,px,py,sigma_position", [(*r[:3], 1) for r in rows]))).model
+        np.testing.assert_allclose(found.P0, 900 * plain.P0)
+
     def test_a_model_of_the_users_own_gets_them_too(self, log):
         model = navgym.LinearModel(H=np.eye(4)[[0, 2]], R=4 * np.eye(2))
         found = quietly(log("time,px,py,sigma_px\n0,1,2,3\n1,2,3,\n"), model=model).model
