@@ -80,10 +80,10 @@ class Recording(Frozen):
         if self.regime is not None:
             labels = real_array("regime", self.regime)
             shaped("regime", labels, (steps,), "a label per sample")
+            odd = (labels != np.rint(labels)) | (np.abs(labels) > 2.0**53)
+            if odd.any():
+                raise ValueError(f"regime must hold whole-number labels, got {labels[odd][0]}.")
             arrays["regime"] = labels.astype(np.int64)
-            if (arrays["regime"] != labels).any():
-                bad = labels[arrays["regime"] != labels][0]
-                raise ValueError(f"regime must hold whole-number labels, got {bad}.")
         for name in ("process_scale", "measurement_scale"):
             if getattr(self, name) is not None:
                 arrays[name] = real_array(name, getattr(self, name))
