@@ -5,7 +5,8 @@ from __future__ import annotations
 from decimal import Decimal
 
 LONGEST = 1000  # usual steps: a time further ahead is taken for a wrong one until the next agrees
-LATE = 10  # usual steps: a line that comes late by less was overtaken on its way
+LATE = 10  # steps: a line that comes late by less was overtaken on its way
+DAY = 86_400  # s: no longer step is usual
 
 
 class Clock:
@@ -18,8 +19,8 @@ class Clock:
     out without more ado: the clock will have passed the last time within as many lines.
 
     Args:
-        step: s between lines, as far as is known; the last step that was taken counts as well, so
-            that a log of hours between lines is not one jump after the other.
+        step: s between lines, as far as is known; the last step that was taken counts as usual too,
+            so that a log of hours between lines is not one jump after the other.
 
     Attributes:
         last: time of the last line that was believed, s; None before the first.
@@ -41,15 +42,18 @@ class Clock:
             return True
         gap, longest = time - last, LONGEST * max(self._step, self._usual)
         if 0 < gap <= longest:
-            self.last, self._usual = time, gap
+            self._take(time, gap)
             return True
-        if -LATE * self._usual <= gap <= 0:
+        if -LATE * self._step <= gap <= 0:
             raise ValueError(f"time must increase, got {time} after {last}.")
         if doubted is not None and 0 < time - doubted <= max(longest, abs(gap)):
-            self.last, self._usual = time, time - doubted
+            self._take(time, time - doubted)
             return False
         self._doubted = time
         raise ValueError(
             f"time jumps from {last} to {time}: if the next line goes on from there, the clock was "
             "set, and so is the filter."
         )
+
+    def _take(self, time: Decimal, step: Decimal) -> None:
+        self.last, self._usual = time, min(step, Decimal(DAY))

@@ -9,10 +9,9 @@ from hypothesis import strategies as st
 
 import navgym
 from navgym import agents
-from navgym.agents.live.clock import LATE, LONGEST, Clock
+from navgym.agents.live.clock import LATE, Clock
 from navgym.agents.live.lines import Noise, estimates
 from navgym.agents.live.notices import FIRST, Notices
-from navgym.deck.batch import DeckBatch
 from tests.agents import hand_made
 from tests.agents.both import DECK
 
@@ -31,12 +30,14 @@ def believed(stamps, step=1.0):
 
 
 class TestClock:
-    @pytest.mark.parametrize("to", [1_700_000_000, -3600, 100_000, 1e-3])
+    @pytest.mark.parametrize("to", [1_700_000_000, -3600, 100_000])
     def test_one_that_is_set_costs_one_line(self, to):
-        stamps = [3600 + k for k in range(9)] + [3600 + to + k for k in range(9)]
-        assert believed(stamps) == [True] * 9 + [None, False] + [True] * 7 if to != 1e-3 else True
+        stamps = [*range(9), *(to + k for k in range(9, 18))]
+        assert believed(stamps) == [True] * 9 + [None, False] + [True] * 7
 
-    @pytest.mark.parametrize("far", [(9e8,), (9e8, 3), (9e8, 5e7), (9e8, 9.5e8), (-9e8, 9e8, -5e8)])
+    @pytest.mark.parametrize(
+        "far", [(9e8,), (9e8, 3), (9e8, 5e7), (9e8, 9.5e8), (9e8, 1.4e9), (-9e8, 9e8, -5e8)]
+    )
     def test_wrong_stamps_silence_nothing(self, far):
         found = believed([*range(9), *far, *range(9, 99)])
         assert found[:9] == [True] * 9
@@ -65,31 +66,15 @@ class TestClock:
     @settings(max_examples=200, deadline=None)
     def test_after_any_stamps_good_lines_are_taken_again(self, noise, step, start):
         good = [Decimal(start) + k * Decimal(step) for k in range(LATE + 10)]
-        clock = Clock(step)
-        for stamp in noise:
-            try:
-                clock.goes_on(Decimal(stamp))
-            except ValueError:
-                pass
-        taken = []
-        for stamp in good:
-            try:
-                clock.goes_on(stamp)
-                taken.append(True)
-            except ValueError:
-                taken.append(False)
-        assert all(taken[-3:]) or _may_be_late(clock, noise)
+        found = believed([*noise, *good], step)[len(noise) :]
+        # ten may seem late, and of a jump one is left out
+        assert None not in found[LATE + 2 :]
 
     def test_steps_are_exact_whatever_the_digits(self):
         clock = Clock(1e-3)
         clock.goes_on(Decimal("1732788000.000000123"))
         clock.goes_on(Decimal("1732788000.001000123"))
         assert clock._usual == Decimal("0.001")
-
-
-def _may_be_late(clock, noise):
-    """Whether two stamps by chance made a usual step so long that all of these are late by few."""
-    return float(clock._usual) > 1.0 and len(noise) > 1
 
 
 def run(lines, **noise):
@@ -139,7 +124,7 @@ class TestStreams:
         assert not [text for text in said if "left out" in text]
 
     def test_estimates_are_the_same_since_1970_as_since_zero(self):
-        truth, early = straight([f"{k // 10}.{k % 10}" for k in range(200)])
+        _, early = straight([f"{k // 10}.{k % 10}" for k in range(200)])
         _, late = straight([f"{EPOCH + k // 10}.{k % 10}" for k in range(200)])
         np.testing.assert_array_equal(run(early, step=0.1)[1], run(late, step=0.1)[1])
 
@@ -202,14 +187,15 @@ class TestPython:
             tuned = agents.SelfTuningFilter(
                 "idam", policy, recording.model, interval=recording.interval, rule=None
             )
+            last = None
             for k, x in enumerate(samples):
                 time = recording.time[k] + (shift if k >= 150 else 0.0)
                 if shift and k == 150:
                     with pytest.raises(ValueError, match="restart_clock"):
                         tuned.step(x, time=time)
                     tuned.restart_clock()
-                found = tuned.step(x, time=time) or found if k > 10 else tuned.step(x, time=time)
-            ends.append(found.state)
-        assert DeckBatch.of([recording]).tapes.shape[1] > 0
+                found = tuned.step(x, time=time)
+                last = last if found is None else found
+            ends.append(last.state)
         np.testing.assert_array_equal(ends[0], ends[1])
         np.testing.assert_array_equal(ends[0], ends[2])

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -117,7 +118,7 @@ class TestTheCommand:
 
     def test_a_full_disk_ends_it_with_one_line(self, saved):
         log = "\n".join(["time,px,py", *(f"{k},{k},{k}" for k in range(2000))])
-        with open("/dev/full", "w") as full:
+        with Path("/dev/full").open("w") as full:
             process = self.start(saved, stdout=full)
             with process:
                 _, err = process.communicate(log)
@@ -131,7 +132,7 @@ class TestTheCommand:
         log = "time,px,py\n1,1,1\nx\n2,2,2\n"
         end, other = os.pipe()
         os.close(end)  # whoever read it is gone
-        with open("/dev/full", "w") as full:
+        with Path("/dev/full").open("w") as full:
             target = full if where == "/dev/full" else other
             with self.start(saved, stderr=target) as process:
                 out, _ = process.communicate(log)
