@@ -27,7 +27,8 @@ ABOUT = """Compile kernels now, instead of at first use.
     navgym warm auv       those of one problem: {problems}
 
 Only for the usual sizes of models: others compile when they are first used, some seconds per filter.
-Compiled code is cached on disk, so a second run takes a few seconds.
+Compiled code is cached on disk, so a second run takes a few seconds. NUMBA_CACHE_DIR says where: a
+folder that only you can write to, such as ~/.cache/navgym.
 """
 
 

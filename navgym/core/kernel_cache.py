@@ -52,7 +52,7 @@ def say(kind: str, text: str) -> None:
     _said[kind] = text
     if quiet or multiprocessing.parent_process() is not None:
         return
-    stream = sys.stderr
+    stream: Any = sys.stderr
     with contextlib.suppress(OSError, ValueError):  # a stream that is full or closed
         if stream is not None and stream is sys.__stderr__:
             # past its buffer, which would fail once more at exit

@@ -22,14 +22,15 @@ class _Tolerant(io.FileIO):
 
     def __init__(self, number: int, drops: bool) -> None:
         super().__init__(number, "wb", closefd=False)
-        self.drops, self.error = drops, None
+        self.drops = drops
+        self.error: OSError | None = None
 
     def write(self, content: Any) -> int:
         """Write, or drop."""
         try:
             return super().write(content)
         except OSError as error:
-            self.error: OSError | None = self.error or error
+            self.error = self.error or error
             if not self.drops:
                 raise
         return len(content)
@@ -41,14 +42,15 @@ def prepare() -> None:
     Closed ones lead nowhere, so that no file that is opened later takes their number; signs that the
     encoding lacks are written as escapes; standard error never raises.
     """
-    for number, name in enumerate(("stdin", "stdout", "stderr")):
+    for number in range(3):
+        if not _is_open(number):
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+    for name in ("stdin", "stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:
-            mode, way = ("r", os.O_RDONLY) if number == 0 else ("w", os.O_WRONLY)
-            if not _is_open(number):
-                os.open(os.devnull, way)  # takes the lowest number that is free
+            mode = "r" if name == "stdin" else "w"
             setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: PTH123, SIM115
-        elif number and stream is getattr(sys, f"__{name}__"):
+        elif name != "stdin" and stream is getattr(sys, f"__{name}__"):
             raw = _Tolerant(stream.fileno(), drops=name == "stderr")
             found = io.TextIOWrapper(
                 io.BufferedWriter(raw), stream.encoding, "backslashreplace",
