@@ -207,7 +207,7 @@ def identify_lane(
     own = {"kernel_scale": options["rvm_kernel_scale"]} if option.method == "rvm" else {}
     assert option.method is not None
     try:
-        found = identify(option.method, increments, dt, **own)
+        found = identify(option.method, increments, dt, step=0.5, fewest=80, **own)
     except ValueError:
         return None
     if option.printed or not option.shrunk:

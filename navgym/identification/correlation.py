@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import fft
 
-from navgym.core.checks import Array, real_array, within
+from navgym.core.checks import Array, positive_int, real_array, within
 
-LEAST_LAGS = 20  # with fewer, three parameters are guesswork
+LEAST_LAGS = 20  # of a usual record: with fewer, three parameters are rough
+USUAL_STEP, USUAL = 0.5, 4 * LEAST_LAGS  # s, and increments over it, of the shortest usual record
+FEWEST, FEWEST_LAGS = 24, 8  # increments and lags of the shortest record that is looked at
 LONGEST = 60.0  # s, default of the longest lag, unless the record is shorter than four times that
 
 
@@ -35,9 +37,18 @@ class Correlation:
     variance: Array
     increments: Array
 
+    @property
+    def short(self) -> bool:
+        """Whether the record is shorter than the asymptotic formulas of its errors can bear."""
+        return bool(self.duration < USUAL * max(self.step, USUAL_STEP) * (1.0 - 1e-9))
+
 
 def correlate(
-    increments: ArrayLike, interval: float, step: float = 0.5, longest_lag: float | None = None
+    increments: ArrayLike,
+    interval: float,
+    step: float | None = None,
+    longest_lag: float | None = None,
+    fewest: int = FEWEST,
 ) -> Correlation:
     """Estimate the autocorrelation of increments over `step` s at lags that are multiples of it.
 
@@ -49,27 +60,36 @@ def correlate(
         increments: (T, 3) rad, θ_k − θ_{k−1} plus gyro noise, in inertial axes; NaN where missing.
         interval: s, that each of them spans.
         step: t0, s, rounded to a multiple of `interval`. .25-1 s is a good choice: at 10 ms, σ² is
-            ill-conditioned (IDAM eq. 24).
-        longest_lag: s; by default a quarter of the record, at most 60 s.
+            ill-conditioned (IDAM eq. 24). By default .5 s, or less where the record holds fewer
+            than 80 of those.
+        longest_lag: s, from 20 steps (8 where the record holds fewer than 80) to half the record;
+            by default a quarter of it, at most 60 s.
+        fewest: received increments over `step` below which a record is refused.
 
     Raises:
         ValueError: data or options that cannot be used, or too short a record.
     """
     data = _checked(increments)
     interval = within("interval", interval, 0.0, above=True)
+    received = np.isfinite(data).all(axis=1)
+    duration = float(received.sum()) * interval
+    if step is None:
+        step = max(min(USUAL_STEP, duration / USUAL), interval)
+        step = interval * max(np.floor(step / interval * (1.0 + 1e-9)), 1.0)
     step = within("step", step, interval * (1.0 - 1e-9))
     whole = round(step / interval)
     step = whole * interval
-    received = np.isfinite(data).all(axis=1)
-    duration = float(received.sum()) * interval
-    lags = _lags(step, duration, longest_lag)
+    lags = _lags(step, duration, longest_lag, positive_int("fewest", fewest, FEWEST))
     sums = _sums(data, whole)
-    values = _masked(sums - np.nanmean(sums, axis=0), lags.size, whole)
+    pairs = min(2 * LEAST_LAGS, int(duration / step) // 2)
+    values = _masked(sums - np.nanmean(sums, axis=0), lags.size, whole, pairs)
     return Correlation(step, duration, lags, values[1:], values[0], sums[::whole])
 
 
 def _checked(increments: ArrayLike) -> Array:
     """(T, 3) rows that are either finite or missing."""
+    if isinstance(increments, np.ma.MaskedArray):
+        increments = np.where(np.ma.getmaskarray(increments), np.nan, np.ma.getdata(increments))
     data = real_array("increments", increments, finite=False)
     if data.ndim != 2 or data.shape[1] != 3:
         raise ValueError(
@@ -89,18 +109,18 @@ def _checked(increments: ArrayLike) -> Array:
     return data
 
 
-def _lags(step: float, duration: float, longest: float | None) -> Array:
+def _lags(step: float, duration: float, longest: float | None, fewest: int) -> Array:
     """(L,) the lags to look at, s."""
-    least = 4 * LEAST_LAGS * step
-    if duration < least:
+    count = duration / step * (1.0 + 1e-9)
+    if count < fewest:
         raise ValueError(
-            f"increments hold {duration:g} s of received data, and {least:g} s are needed at "
-            f"step={step:g} s ({4 * LEAST_LAGS} increments): record longer, or choose a smaller step."
+            f"increments hold {duration:g} s of received data, and {fewest * step:g} s are needed at "
+            f"step={step:g} s ({fewest} increments): record longer, or choose a smaller step."
         )
+    least = LEAST_LAGS if count >= USUAL else FEWEST_LAGS
     if longest is None:
-        longest = min(duration / 4.0, LONGEST)
-        longest = max(longest, LEAST_LAGS * step)
-    longest = within("longest_lag", longest, LEAST_LAGS * step * 0.999, duration / 2.0)
+        longest = max(min(duration / 4.0, LONGEST), least * step)
+    longest = within("longest_lag", longest, least * step * 0.999, duration / 2.0)
     return step * np.arange(1.0, round(longest / step) + 1.0)
 
 
@@ -120,7 +140,7 @@ def _running(data: Array, whole: int) -> Array:
     return np.asarray(sums)
 
 
-def _masked(data: Array, lags: int, whole: int) -> Array:
+def _masked(data: Array, lags: int, whole: int, least: int) -> Array:
     """(lags + 1, 3) mean of x_k x_{k+n·whole} over the pairs of which both are there."""
     there = np.isfinite(data[:, 0])
     size = fft.next_fast_len(len(data) + lags * whole, real=True)
@@ -128,7 +148,7 @@ def _masked(data: Array, lags: int, whole: int) -> Array:
     spectrum = np.abs(fft.rfft(columns, size, axis=0)) ** 2
     products = fft.irfft(spectrum, size, axis=0)[: lags * whole + 1 : whole]
     pairs = np.round(products[:, 3:])
-    if (pairs < 2 * LEAST_LAGS).any():
+    if (pairs < least).any():
         raise ValueError(
             f"increments leave only {int(pairs.min())} pairs at some lag: gaps are too many. "
             "Choose a smaller longest_lag or step."

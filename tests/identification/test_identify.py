@@ -331,7 +331,13 @@ def test_every_method_has_a_summary():
         (("nls", varied((400, 3)), 0.5), {"kernel_scale": 1.0}, "option of method 'nls'"),
         (("nls", varied((400, 2)), 0.5), {}, r"shape \(T, 3\)"),
         (("nls", np.full((400, 3), np.inf), 0.5), {}, "infinities"),
-        (("nls", varied((79, 3)), 0.5), {}, "40 s are needed"),
+        (("nls", varied((23, 3)), 0.5), {}, "12 s are needed"),
+        (("nls", varied((79, 3)), 0.5), {"fewest": 80}, "40 s are needed"),
+        (
+            ("nls", varied((79, 3)), 0.5),
+            {"fewest": 20},
+            "fewest must be a whole number of at least",
+        ),
         (("nls", np.full((400, 3), np.nan), 0.5), {}, "received"),
         (("nls", varied((400, 3)), 0.5), {"step": 0.1}, "step"),
         (("nls", varied((400, 3)), 0.0), {}, "interval"),
@@ -364,6 +370,77 @@ def test_a_library_that_is_missing_is_named_with_its_extra(monkeypatch, records)
     for method in ("svr", "swarm"):
         with pytest.raises(ImportError, match=r"navgym\[identification\]"):
             identify(method, records[0], 0.5)
+
+
+def swings(runs, seconds, dt, b, zeta, seed=0):
+    """(runs, T, 3) increments of an oscillation that dies away from random phases, and 2 % of noise."""
+    rng = np.random.default_rng(seed)
+    t = dt * np.arange(round(seconds / dt) + 1.0)[:, None]
+    phase, size = rng.uniform(0.0, 2.0 * np.pi, (runs, 1, 3)), rng.uniform(0.5, 1.5, (runs, 1, 3))
+    wave = np.cos(b * np.sqrt(1.0 - zeta**2) * t + phase)
+    increments = np.diff(0.05 * size * np.exp(-zeta * b * t) * wave, axis=1)
+    return increments + 0.02 * increments.std() * rng.standard_normal(increments.shape)
+
+
+def held(models, b):
+    """Share of natural frequencies within two of their deviations."""
+    away = [(0.5 * np.log(m.stiffness) - np.log(b)) / (m.deviation[:, 1] / 2.0) for m in models]
+    return np.mean(np.abs(away) < 2.0)
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.05, 0.5])
+@pytest.mark.parametrize("zeta", [0.005, 0.02, 0.1])
+@pytest.mark.parametrize("b", [1.0, 4.2])
+def test_a_swing_of_seventeen_seconds_is_identified_within_what_it_says(b, zeta, dt):
+    with pytest.warns(UserWarning, match="17 s of increments are a short record"):
+        found = [identify("nls", x, dt) for x in swings(12, 17.0, dt, b, zeta)]
+    assert held(found, b) > 0.95
+    assert all(m.diagnostics["short"] for m in found)
+    relative = np.concatenate([m.deviation[:, 1] / 2.0 for m in found])
+    assert 0.02 < np.median(relative) < 0.6  # a word, neither certainty nor nothing
+
+
+@pytest.mark.filterwarnings("ignore:.*short record")
+@pytest.mark.parametrize(("zeta", "share"), [(0.02, 0.95), (0.1, 0.93), (0.3, 0.9), (0.6, 0.8)])
+@pytest.mark.parametrize("seconds", [17.0, 30.0])
+def test_short_records_of_noise_hold_the_truth_as_often_as_the_manual_says(seconds, zeta, share):
+    for b in (0.4, 1.0):
+        model = FlexureModel([2.0 * zeta * b] * 3, [b**2] * 3, SIGMA)
+        records = simulate(model, seconds, 0.05, runs=12, seed=8)
+        assert held([identify("nls", x, 0.05) for x in records], b) >= share
+
+
+def test_forty_seconds_are_no_short_record(recwarn):
+    found = identify("nls", simulate(PAPER, 40.0, 0.05)[0], 0.05)
+    assert not found.diagnostics["short"]
+    assert found.diagnostics["step"] == pytest.approx(0.5)
+    assert not [w for w in recwarn if "short record" in str(w.message)]
+
+
+@pytest.mark.filterwarnings("ignore:.*short record")
+@pytest.mark.parametrize("method", METHODS)
+def test_no_method_gives_a_number_that_is_none(method):
+    """From 24 increments on, of anything: a finite model, or an error that says why not."""
+    rng = np.random.default_rng(0)
+    for count in (24, 34, 79, 120):
+        for record in (rng.standard_normal((count, 3)), swings(1, count * 0.5, 0.5, 1.0, 0.1)[0]):
+            try:
+                found = identify(method, record, 0.5, **options(method))
+            except ValueError as error:
+                assert "no flexure" in str(error)  # noqa: PT017
+                continue
+            assert np.isfinite(logarithms(found)).all()
+            assert np.isfinite(found.deviation).all()
+            assert (found.deviation > 0.0).all()
+
+
+def test_masked_increments_are_missing():
+    record = simulate(PAPER, 200.0, 0.5)[0]
+    mask = np.zeros(record.shape, bool)
+    mask[50:60, 1] = True
+    holed = np.where(mask, np.nan, record)
+    one, other = (identify("nls", x, 0.5) for x in (np.ma.masked_array(record, mask), holed))
+    np.testing.assert_array_equal(logarithms(one), logarithms(other))
 
 
 @pytest.mark.slow
