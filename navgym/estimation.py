@@ -34,8 +34,9 @@ class Estimate:
         nis: (T,) normalised innovation squared under the predicted covariance, chi-square with as
             many degrees of freedom as components were received; NaN where nothing was.
         log_likelihood: (T,) of each innovation, same convention.
-        diverged: True after a numerical failure, or once the innovations have grown to a hundred
-            times what the model's measurement noise explains.
+        diverged: True after a numerical failure, or once the filter has lost the track: it has
+            foretold its measurements, for a while, far worse than who repeats the last ones (a deck's:
+            its innovations have been a hundred times what it believes).
         extras: further outputs of some filters, such as a bank's mode weights.
     """
 
@@ -140,7 +141,8 @@ def estimate(
         parameters: a dict of tunables (missing ones at their defaults); its values may be lists
             with one number per decision interval, or the whole may be an array (intervals,
             parameters) in the order of `navgym.parameter_space`: a schedule. Its last row holds
-            to the end. A path reads them from a file that `navgym tune` wrote (`navgym.tuned`).
+            to the end. A path reads them from a file that `navgym tune` wrote (`navgym.tuned`); a
+            warning says where its scales refer to other noise than the recording's model believes.
         decision_interval: samples per row of a schedule: 5 by default, on decks the filter steps
             that make up 1 s.
 
@@ -154,6 +156,6 @@ def estimate(
         raise TypeError(f"a recording must be a navgym.Recording, got {type(recording)}.")
     chosen = problem.find(filter_name)
     batch = problem.stack([recording])
-    given = settled(parameters, chosen.name)
+    given = settled(parameters, chosen.name, lambda: problem.noises(batch))
     run = problem.run(chosen, batch, given, decision_interval, everything=True)
     return problem.estimate(chosen, batch, run)

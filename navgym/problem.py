@@ -70,6 +70,19 @@ class Filter:
     nonlinear: bool = False
 
 
+@dataclass(frozen=True)
+class Believed:
+    """One noise that a model believes in.
+
+    Args:
+        deviations: standard deviations, or root densities, one per row or axis.
+        scale: the parameter that multiplies their squares.
+    """
+
+    deviations: tuple[float, ...]
+    scale: str
+
+
 @dataclass(frozen=True, eq=False)
 class Run:
     """What a filter made of a batch of N recordings of up to T filter steps.
@@ -431,6 +444,7 @@ class Problem:
         noise: (filter, batch) to the scales of the batch's models that stand beside the filter's own
             parameters.
         believing: (batch, values of those, (N or 1, ·)) to the batch whose models have them.
+        noises: (batch) to what its models believe of noise, by name: what noise scales refer to.
         filters: by name.
         stack: recordings to a `Batch`.
         runner: (filter, batch, table of parameters, interval, everything) to a `Run`; raises
@@ -473,6 +487,7 @@ class Problem:
     told: Callable[[Any], list[tuple[str, str]]] | None = None
     noise: Callable[[Filter, Any], ParameterSpace] = lambda _, __: ParameterSpace(())
     believing: Callable[[Any, Array], Any] = lambda batch, _: batch
+    noises: Callable[[Any], Mapping[str, Believed]] = lambda _: {}
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travels by where it is found: a process that has not met it imports it."""

@@ -115,6 +115,8 @@ def run(settings: StudySettings) -> Findings:
     """
     with workers(settings.processes, settings.scheduler) as executor:
         made = stages(settings)
+        for line in doubts(settings, next(iter(made.train.values()))):
+            tqdm.write(line)
         goal, fresh = goal_of(settings, made.train), goal_of(settings, made.select)
         for cases in made.report.values():  # what cannot be judged is said before the study
             if is_blind(settings, cases):
@@ -198,6 +200,14 @@ def _study(
     if outcome.interrupted:
         raise Interrupted(outcome)
     return outcome
+
+
+def doubts(settings: StudySettings, cases: Cases) -> list[str]:
+    """Where the file to start from refers to another model's noise, in words."""
+    if settings.start is None:
+        return []
+    found = read_tuned(settings.start)
+    return [f"{settings.start}: {d}" for d in found.doubts(cases.problem.noises(cases.batch))]
 
 
 def _first(settings: StudySettings, space: ParameterSpace) -> list[dict[str, Any]]:

@@ -198,6 +198,7 @@ PROBLEM = Problem(
     estimate=lazy("navgym.statespace.run:estimate"),
     noise=lazy("navgym.statespace.noise:space"),
     believing=lazy("navgym.statespace.noise:believing"),
+    noises=lazy("navgym.statespace.believed:noises"),
     kernels=lazy("navgym.auv.warm:kernels"),
     plain=("kf", "ekf"),
     bound="oracle",

@@ -14,7 +14,7 @@ from navgym.deck.errors import deck_errors, run_errors
 from navgym.deck.settings import START
 from navgym.inertial.flexure import ARCMIN
 from navgym.metrics.consistency import nees as normalised
-from navgym.problem import Run, Span
+from navgym.problem import Believed, Run, Span
 
 
 def errors(batch: DeckBatch, states: Array, names: Sequence[str], span: Span) -> dict[str, Array]:
@@ -72,3 +72,10 @@ def rows(batch: DeckBatch) -> dict[str, Array]:
     factors = np.zeros((len(batch), 6))
     factors[:, 3:] = 1.0 / ARCMIN
     return {"rates": factors}
+
+
+def noises(batch: DeckBatch) -> dict[str, Believed]:
+    """Root densities of the believed flexure's noise by axis, rad/s²/√Hz; see `Problem.noises`."""
+    density = batch.recordings[0].model.flexure.noise_density
+    deviations = tuple(np.sqrt(density).tolist())
+    return {"flexure_density": Believed(deviations, "process_noise_scale")}

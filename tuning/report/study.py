@@ -10,6 +10,7 @@ import numpy as np
 import tomli_w
 
 from navgym.core.checks import Array
+from navgym.tuned import as_model
 from navgym.tuning import declared
 from navgym.tuning.cases import Cases
 from navgym.tuning.comparison import LEAST, Comparison
@@ -90,6 +91,7 @@ def tuned_toml(found: Findings, basis: Mapping[str, Any]) -> str:
     whole = {
         "filter": found.settings.filter,
         "parameters": {k: _number(v) for k, v in found.values.items()},
+        "model": model_of(found),
         "provenance": {
             **basis,
             "goal": _without_none(found.goal.about),
@@ -101,6 +103,12 @@ def tuned_toml(found: Findings, basis: Mapping[str, Any]) -> str:
         '# Written by navgym tune: navgym.estimate(filter, recording, "tuned.toml")\n'
         + tomli_w.dumps(_without_none(whole))
     )
+
+
+def model_of(found: Findings) -> dict[str, Any]:
+    """What the recordings' model believed of noise, which the scales refer to."""
+    cases = next(iter(found.stages.train.values()))
+    return as_model(cases.problem.noises(cases.batch))
 
 
 def _number(value: Any) -> Any:
