@@ -30,7 +30,7 @@ _TIME = rf"({_DATE})([T ]+{_CLOCK}\s*(Z|UTC|[-+]\d\d:?(\d\d)?)?)?|{_CLOCK}"
 _DEGREES = r"[-+]?\d+([.,]\d+)?\s*[°º].*|\d+(\.\d+)?\s*[NSEW]"
 _VALUE = re.compile("|".join((_NUMBER.pattern, _COMMA.pattern, _TIME, _DEGREES)), re.ASCII)
 _INK = re.compile(rb"\S")
-_DATE_BLANK_CLOCK = re.compile(r"(?<!\S)(\d{4}[-/]\d\d?[-/]\d\d?)[ \t]+(?=\d\d?:\d\d)")
+DATE_BLANK_CLOCK = re.compile(rb"(?<!\S)(\d{4}[-/]\d\d?[-/]\d\d?)[ \t]+(?=\d\d?:\d\d)")
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def find(
 def cells(line: str, delimiter: str) -> list[str]:
     """Stripped cells of one line."""
     if delimiter == " ":
-        line = _DATE_BLANK_CLOCK.sub(r"\1T", line)
+        line = DATE_BLANK_CLOCK.sub(rb"\1T", line.encode()).decode()
     if '"' in line:
         try:
             reader = csv.reader([line.strip()], delimiter=delimiter, skipinitialspace=True)

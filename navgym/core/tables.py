@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from navgym.core.atomic import replacing
 from navgym.core.checks import Array, one_of
-from navgym.core.layout import COMMENTS, LOST, Layout
-from navgym.core.layout import cells as cells_of
+from navgym.core.layout import COMMENTS, DATE_BLANK_CLOCK, LOST, Layout
 from navgym.core.layout import find as find_layout
 from navgym.core.text import LARGEST, read_text
 
@@ -26,6 +25,9 @@ ROWS = 1 << 16  # that are turned into numbers at a time: bounds memory
 WIDEST = 100  # characters of a cell that may be a number or a time
 HIGHEST = 1e30  # of a number: squares and cubes of it must still be numbers
 PAD = b"\0" * WIDEST
+DIGITS, STRANGE = np.zeros(256, np.bool_), np.ones(256, np.bool_)  # letters of plain numbers
+DIGITS[list(b"0123456789")] = True
+STRANGE[list(b"0123456789+-.eE\0 ")] = False
 
 Bytes = NDArray[np.uint8]
 Places = NDArray[np.int64]
@@ -290,7 +292,6 @@ def _quoted(
 def _body(source: Path, text: bytes, layout: Layout) -> tuple[bytes, Places]:
     """The rows as plain text, cells divided by the layout's delimiter, and each one's line."""
     body = text[layout.begins :]
-    mark = layout.delimiter.encode()
     if b'"' in body:
         rows, numbers = _quoted(
             source, body.decode("utf-8", errors="replace"), layout.delimiter, layout.line - 1
@@ -302,11 +303,22 @@ def _body(source: Path, text: bytes, layout: Layout) -> tuple[bytes, Places]:
         return plain.encode(errors="replace"), np.array(numbers, dtype=np.int64)
     lines = np.arange(layout.line, layout.line + body.count(b"\n") + 1, dtype=np.int64)
     if layout.delimiter == " ":
-        split = (
-            cells_of(line.decode("utf-8", errors="replace"), " ") for line in body.split(b"\n")
-        )
-        return b"\n".join(mark.join(c.encode() for c in row) for row in split), lines
+        return _single_blanks(body), lines
     return body, lines
+
+
+def _single_blanks(body: bytes) -> bytes:
+    """Each run of blanks and tabs as one blank, none at either end of a line; dates with clocks as one cell."""
+    if DATE_BLANK_CLOCK.search(body, 0, 10_000):
+        body = DATE_BLANK_CLOCK.sub(rb"\1T", body)
+    text = np.frombuffer(body.replace(b"\t", b" "), np.uint8)
+    for shift in (-1, 1):  # a blank before another or an end, then one after a beginning
+        beside = np.full(len(text), ord("\n"), np.uint8)
+        near = slice(1, None) if shift < 0 else slice(None, -1)
+        far = slice(None, -1) if shift < 0 else slice(1, None)
+        beside[far] = text[near]
+        text = text[(text != ord(" ")) | ((beside != ord(" ")) & (beside != ord("\n")))]
+    return text.tobytes()
 
 
 def _grid(
@@ -428,28 +440,35 @@ def _parsed(
     number: Callable[[str], float] | None,
 ) -> NDArray[np.bool_]:
     """Fill `values` with the numbers of `cells`; returns where there is none and none is lost."""
-    spelled = cells.spelled()
+    spelled, long = cells.spelled(), cells.widths > WIDEST
     if decimal == ",":
         spelled[spelled == ord(",")] = ord(".")
-    wrong = np.zeros(len(cells), dtype=np.bool_)
-    if "" in lost:
-        spelled[cells.widths == 0, :3] = (ord("n"), ord("a"), ord("n"))
+    flat = spelled.view(f"S{spelled.shape[1]}")[:, 0]
+    if _all_plain(spelled, flat, values):
+        return long
+    odd = np.asarray(STRANGE[spelled].any(axis=1) | ~DIGITS[spelled].any(axis=1))
     try:
-        if (spelled == ord("_")).any() or (cells.widths > WIDEST).any():
-            raise ValueError("underscores are no part of numbers")
-        values[:] = spelled.view(f"S{spelled.shape[1]}")[:, 0].astype(np.float64)
-        doubtful = np.flatnonzero(np.isnan(values))
-        if "nan" in lost and number is None:
-            return wrong
-    except ValueError:
-        doubtful = np.arange(len(cells))
-    known: dict[str, tuple[float, bool]] = {}
-    for k in doubtful.tolist():
-        cell = cells[k]
-        if cell not in known:
-            known[cell] = _one(cell, decimal, lost, number)
-        values[k], wrong[k] = known[cell]
+        values[:] = np.where(odd, b"0", flat).astype(np.float64)
+    except ValueError:  # such as "1-2"
+        odd[:] = True
+    wrong = long.copy()
+    if odd.any():
+        words, which = np.unique(flat[odd], return_inverse=True)
+        found = [_one(w.decode("utf-8", "replace").strip(), decimal, lost, number) for w in words]
+        values[odd] = np.array([value for value, _ in found])[which]
+        wrong[odd] |= np.array([bad for _, bad in found])[which]
     return wrong
+
+
+def _all_plain(spelled: Bytes, flat: NDArray[np.bytes_], values: Array) -> bool:
+    """Fill `values`, and say whether all are finite numbers, as nearly always they are."""
+    if (spelled == ord("_")).any():
+        return False
+    try:
+        values[:] = flat.astype(np.float64)
+    except ValueError:
+        return False
+    return bool(np.isfinite(values).all())
 
 
 def _one(
