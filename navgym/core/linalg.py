@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 
 from navgym.core.compile import inline, part
+from navgym.core.sizes import model_rows, model_size, sample_size, state_size
 
 
 @part
 def predict(lane, model, q):
     """x⁻ = F x, P⁻ = F P Fᵀ + q Q."""
-    n = lane.x.shape[0]
+    n = state_size(lane)
     for i in range(n):
         s = 0.0
         for j in range(n):
@@ -44,7 +45,7 @@ def observe_vector(model, i, x):
     if r >= 0:
         s = x[r]
     else:
-        for k in range(x.shape[0]):
+        for k in range(model_size(model)):
             s += model.H[i, k] * x[k]
     return s
 
@@ -52,8 +53,8 @@ def observe_vector(model, i, x):
 @inline
 def observe_rows(model, P, W):
     """W = H P."""
-    n = P.shape[0]
-    for i in range(model.rows.shape[0]):
+    n = model_size(model)
+    for i in range(model_rows(model)):
         r = model.rows[i]
         for j in range(n):
             if r >= 0:
@@ -73,16 +74,15 @@ def observe_entry(model, j, W, i):
     if r >= 0:
         s = W[i, r]
     else:
-        for k in range(W.shape[1]):
+        for k in range(model_size(model)):
             s += W[i, k] * model.H[j, k]
     return s
 
 
 @inline
-def factorise(S):
-    """Overwrite the lower triangle of S by L, S = L Lᵀ; False if S is not positive definite."""
+def factorise(S, m):
+    """Overwrite the lower triangle of S (m, m) by L, S = L Lᵀ; False if it is not positive definite."""
     ok = True
-    m = S.shape[0]
     for j in range(m):
         s = S[j, j]
         for k in range(j):
@@ -103,7 +103,7 @@ def factorise(S):
 @part
 def cholesky(lane):
     """`factorise` the lane's S."""
-    return factorise(lane.S)
+    return factorise(lane.S, sample_size(lane))
 
 
 @part
@@ -113,8 +113,8 @@ def innovate(lane, model):
     A row that is not used becomes an identity row of S with z = 0 and W = 0, which leaves the
     other rows exactly as they would be without it. Returns (ok, NIS, log |S|).
     """
-    n = lane.x.shape[0]
-    m = lane.y.shape[0]
+    n = state_size(lane)
+    m = sample_size(lane)
     S, W, z, use = lane.S, lane.W, lane.z, lane.use
     observe_rows(model, lane.P_prior, W)
     for i in range(m):
@@ -138,8 +138,8 @@ def innovate(lane, model):
 @part
 def whiten(lane):
     """Overwrite S by its factor L, z by L⁻¹ z, W by L⁻¹ W; returns (ok, NIS, log |S|)."""
-    n = lane.x.shape[0]
-    m = lane.z.shape[0]
+    n = state_size(lane)
+    m = sample_size(lane)
     S, W, z = lane.S, lane.W, lane.z
     ok = cholesky(lane)
     nis = 0.0
@@ -167,8 +167,8 @@ def correct(lane):
 
     P = P⁻ − WᵀW is symmetric as written; `joseph` is its form that survives cancellation.
     """
-    n = lane.x.shape[0]
-    m = lane.z.shape[0]
+    n = state_size(lane)
+    m = sample_size(lane)
     W = lane.W
     for i in range(n):
         s = lane.x_prior[i]
@@ -189,8 +189,8 @@ def joseph(lane, model):
 
     Positive definite for any gain, however ill-conditioned S is. Overwrites W by Kᵀ = L⁻ᵀ W.
     """
-    n = lane.x.shape[0]
-    m = lane.y.shape[0]
+    n = state_size(lane)
+    m = sample_size(lane)
     S, W, A, T, P = lane.S, lane.W, lane.A, lane.T, lane.P
     for i in range(m - 1, -1, -1):
         d = 1.0 / S[i, i]

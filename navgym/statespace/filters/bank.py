@@ -32,6 +32,7 @@ from navgym.core.checks import Array
 from navgym.core.compile import kernel, part
 from navgym.core.health import NUMERICAL, settle
 from navgym.core.linalg import predict
+from navgym.core.sizes import model_size, sample_size, state_size
 from navgym.statespace.batch import Batch, outputs
 from navgym.statespace.filters.lane import (
     LOG_2PI,
@@ -175,7 +176,7 @@ def lane_type(n: int, m: int, axes: int) -> np.dtype[Any]:
 
 def _motion(n: int) -> np.dtype[Any]:
     """Record of a motion of n states over several rows: F, Q, and scratch."""
-    return np.dtype([(name, np.float64, (n, n)) for name in ("F", "Q", "T")])
+    return np.dtype([("n", np.int64), *((name, np.float64, (n, n)) for name in ("F", "Q", "T"))])
 
 
 def separable(models: NDArray[Any]) -> bool:
@@ -201,6 +202,7 @@ def half(models: NDArray[Any]) -> NDArray[Any]:
         small[name] = models[name][..., :r, :c]
     small["x0"] = models["x0"][..., :n]
     small["rows"] = models["rows"][..., :m]
+    small["n"], small["m"] = n, m
     return small
 
 
@@ -323,6 +325,8 @@ def begin(lanes: NDArray[Any], models: NDArray[Any], modes: ModeSet, axes: int) 
     lanes["mean"] = np.swapaxes(x0, 1, 2)[:, None]
     lanes["cov"] = models["P0"][:, 0, :p, :p][:, None]
     lanes["grid"] = modes.shape
+    for name in ("whole", "axis"):
+        lanes[name]["n"] = lanes[name]["F"].shape[-1]
     lanes["losing"] = (0.0, LOST_BEFORE[0], sum(LOST_BEFORE))
     lanes["weight"][:, : len(modes.table())] = modes.table()[:, 3]
 
@@ -338,9 +342,9 @@ def keep(lane):
                 lane.kept_mean[j, i, g] = lane.mean[j, i, g]
             for k in range(p):
                 lane.kept_cov[j, i, k] = lane.cov[j, i, k]
-    for i in range(lane.x.shape[0]):
+    for i in range(state_size(lane)):
         lane.kept_x[i] = lane.x[i]
-        for k in range(lane.x.shape[0]):
+        for k in range(state_size(lane)):
             lane.kept_P[i, k] = lane.P[i, k]
 
 
@@ -355,16 +359,16 @@ def recall(lane):
                 lane.mean[j, i, g] = lane.kept_mean[j, i, g]
             for k in range(p):
                 lane.cov[j, i, k] = lane.kept_cov[j, i, k]
-    for i in range(lane.x.shape[0]):
+    for i in range(state_size(lane)):
         lane.x[i] = lane.kept_x[i]
-        for k in range(lane.x.shape[0]):
+        for k in range(state_size(lane)):
             lane.P[i, k] = lane.kept_P[i, k]
 
 
 @part
 def move_on(motion, model, q, anew):
     """Add a row's motion: F ← F_k F, Q ← F_k Q F_kᵀ + q Q_k; only the row's own where `anew`."""
-    n = motion.F.shape[0]
+    n = model_size(motion)
     if anew:
         for i in range(n):
             for k in range(n):
@@ -724,7 +728,7 @@ def combine(lane):
     """The bank's estimate: mean and covariance of the mixture."""
     J = lane.grid[0] * lane.grid[1]
     _, p, axes = lane.mean.shape
-    n = lane.x.shape[0]
+    n = state_size(lane)
     for g in range(axes):
         for i in range(p):
             s = 0.0
@@ -755,7 +759,7 @@ def step(
 
     Where a loss is evidence (`losses`) it counts row by row, and so does the mixing.
     """
-    m = lane.y.shape[0]
+    m = sample_size(lane)
     begin_row(lane, model, small, q, received)
     silent = silence(lane, t)
     age = min(silent, PERIOD) + LOST_LEAK * max(silent - PERIOD, 0.0)

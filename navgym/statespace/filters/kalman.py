@@ -18,6 +18,7 @@ from navgym.core.checks import Array
 from navgym.core.compile import kernel, part
 from navgym.core.health import settle
 from navgym.core.linalg import predict
+from navgym.core.sizes import sample_size
 from navgym.statespace.batch import Batch
 from navgym.statespace.filters.lane import (
     apply_innovation,
@@ -64,7 +65,7 @@ def begin(lanes: NDArray[Any], models: NDArray[Any], parameters: NDArray[Any]) -
 @kernel
 def step(lane, model, t, received, q, r, fill, inflation):
     """One sample: predict, judge, correct, fill. The sample lies in the lane (`receive`)."""
-    m = lane.y.shape[0]
+    m = sample_size(lane)
     predict(lane, model, q)
     for i in range(m):
         for j in range(m):
@@ -93,7 +94,7 @@ def substitute(lane, fill):
 
     Before anything was received there is nothing to hold: the component stays lost.
     """
-    for i in range(lane.y.shape[0]):
+    for i in range(sample_size(lane)):
         if lane.use[i]:
             lane.past[i, 2] = lane.y[i]
             lane.past_count[i] += 1

@@ -16,6 +16,7 @@ from navgym.core.checks import Array
 from navgym.core.compile import inline, part
 from navgym.core.health import NUMERICAL, POWER_MEMORY, RUNAWAY
 from navgym.core.linalg import correct, innovate, joseph, observe_vector
+from navgym.core.sizes import sample_size, state_size
 from navgym.statespace.batch import Batch, outputs
 
 LOG_2PI = math.log(2.0 * math.pi)
@@ -47,6 +48,8 @@ def fields(n: int, m: int) -> list[tuple[str, Any, tuple[int, ...]]]:
         ("last_count", i8, (m,)),
         ("angle", i8, (m,)),  # 1 where a component wraps
         ("diverged", i8, ()),
+        ("n", i8, ()),
+        ("m", i8, ()),
         ("k", i8, ()),  # samples done: `run` goes on from here ...
         ("length", i8, ()),  # ... to here, or to the end of the data
         # the last three received values of each component, oldest first
@@ -71,6 +74,7 @@ def start(lanes: NDArray[Any], models: NDArray[Any]) -> None:
     lanes["x"] = models["x0"][:, 0]
     lanes["P"] = models["P0"][:, 0]
     lanes["heard"] = np.nan
+    lanes["n"], lanes["m"] = lanes["x"].shape[1], lanes["y"].shape[1]
     lanes["length"] = NO_LIMIT
 
 
@@ -103,7 +107,7 @@ def padded(table: Array, defaults: tuple[float, ...]) -> Array:
 def receive(lane, y, lost, i, k):
     """Copy sample k of series i into the lane; returns how many components were received."""
     count = 0
-    for j in range(lane.y.shape[0]):
+    for j in range(sample_size(lane)):
         lane.y[j] = y[i, k, j]
         lane.use[j] = 0 if lost[i, k, j] else 1
         count += lane.use[j]
@@ -113,7 +117,7 @@ def receive(lane, y, lost, i, k):
 @part
 def remember(lane, t):
     """Append the received components of the lane's sample, taken at `t`, to its history."""
-    for i in range(lane.y.shape[0]):
+    for i in range(sample_size(lane)):
         if lane.use[i]:
             for j in range(2):
                 lane.past[i, j] = lane.past[i, j + 1]
@@ -160,7 +164,7 @@ def expect(lane, model, received):
     """
     expect_nothing(lane)
     if received > 0:
-        for j in range(lane.y.shape[0]):
+        for j in range(sample_size(lane)):
             if lane.use[j]:
                 lane.innovation[j] = lane.y[j] - observe_vector(model, j, lane.x_prior)
         score(lane, received, innovate(lane, model))
@@ -169,7 +173,7 @@ def expect(lane, model, received):
 @part
 def expect_nothing(lane):
     """No innovation, NIS or log-likelihood yet: what a lost sample reports."""
-    for j in range(lane.y.shape[0]):
+    for j in range(sample_size(lane)):
         lane.innovation[j] = math.nan
     lane.nis = math.nan
     lane.log_likelihood = math.nan
@@ -195,7 +199,7 @@ def watch(lane, model, t, received):
     differences are of no interest. A spike counts by its logarithm, and for the naive guess as well.
     """
     own, still, straight, judged = 0.0, 0.0, 0.0, 0
-    for j in range(lane.y.shape[0]):
+    for j in range(sample_size(lane)):
         if lane.use[j]:
             if lane.last_count[j] > 1:
                 d = wrapped(lane, j, lane.y[j] - lane.last[j, 1])
@@ -253,7 +257,7 @@ def fill_correct(lane, model, t, inflation):
     teaches the filter nothing about its noise. Components with fewer than three past samples,
     and those received, are left alone. Overwrites `y` and `use`.
     """
-    m = lane.y.shape[0]
+    m = sample_size(lane)
     count = 0
     for i in range(m):
         lost = lane.use[i] == 0 and lane.past_count[i] >= 3
@@ -267,9 +271,9 @@ def fill_correct(lane, model, t, inflation):
                 lane.R_used[j, i] *= g
             count += 1
     if count > 0:
-        for i in range(lane.x.shape[0]):
+        for i in range(state_size(lane)):
             lane.x_prior[i] = lane.x[i]
-            for j in range(lane.x.shape[0]):
+            for j in range(state_size(lane)):
                 lane.P_prior[i, j] = lane.P[i, j]
         kalman_correct(lane, model)
 
@@ -277,9 +281,9 @@ def fill_correct(lane, model, t, inflation):
 @part
 def keep_prediction(lane):
     """Nothing was received: the prediction is the estimate."""
-    for i in range(lane.x.shape[0]):
+    for i in range(state_size(lane)):
         lane.x[i] = lane.x_prior[i]
-        for j in range(lane.x.shape[0]):
+        for j in range(state_size(lane)):
             lane.P[i, j] = lane.P_prior[i, j]
 
 
@@ -287,14 +291,14 @@ def keep_prediction(lane):
 def report(lane, i, k, states, covariances, innovations, nis, log_likelihoods):
     """Write the lane's answer for sample k of series i; outputs of length 0 are not wanted."""
     lane.k = k + 1
-    for a in range(lane.x.shape[0]):
+    for a in range(state_size(lane)):
         states[i, k, a] = lane.x[a]
     if covariances.shape[1] > 0:
-        for a in range(lane.x.shape[0]):
-            for b in range(lane.x.shape[0]):
+        for a in range(state_size(lane)):
+            for b in range(state_size(lane)):
                 covariances[i, k, a, b] = lane.P[a, b]
     if nis.shape[1] > 0:
         nis[i, k] = lane.nis
         log_likelihoods[i, k] = lane.log_likelihood
-        for a in range(lane.y.shape[0]):
+        for a in range(sample_size(lane)):
             innovations[i, k, a] = lane.innovation[a]

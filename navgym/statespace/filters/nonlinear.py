@@ -27,6 +27,7 @@ from navgym.core.checks import Array
 from navgym.core.compile import kernel, part
 from navgym.core.health import NUMERICAL, settle
 from navgym.core.linalg import correct, factorise, observe_vector, predict, whiten
+from navgym.core.sizes import sample_size, state_size
 from navgym.statespace import models, turn_model
 from navgym.statespace.batch import Batch
 from navgym.statespace.filters.lane import (
@@ -80,6 +81,8 @@ def begin(lanes: NDArray[Any], records: NDArray[Any], parameters: NDArray[Any]) 
     """Put the lanes (N,) at the start of their recordings."""
     start(lanes, records)
     lanes["local"]["rows"] = -1
+    for name in ("n", "m"):
+        lanes["local"][name] = lanes[name]
     if records.dtype == turn_model.RECORD:
         lanes["angle"][:, list(turn_model.CoordinatedTurnModel.angles)] = 1
 
@@ -102,7 +105,7 @@ def _by_model(linear: Callable[..., None], turning: Callable[..., None]) -> Call
 
 def _linear_move(lane, model, i):
     """Move point i: F x."""
-    n = lane.x.shape[0]
+    n = state_size(lane)
     for a in range(n):
         s = 0.0
         for b in range(n):
@@ -114,25 +117,25 @@ def _linear_move(lane, model, i):
 
 def _linear_sense(lane, model, i):
     """See point i: H x."""
-    for j in range(lane.y.shape[0]):
+    for j in range(sample_size(lane)):
         s = 0.0
-        for b in range(lane.x.shape[0]):
+        for b in range(state_size(lane)):
             s += model.H[j, b] * lane.points[i, b]
         lane.seen[i, j] = s
 
 
 def _linear_move_slope(lane, model, i):
     """F is its own Jacobian."""
-    for a in range(lane.x.shape[0]):
-        for b in range(lane.x.shape[0]):
+    for a in range(state_size(lane)):
+        for b in range(state_size(lane)):
             lane.local.F[a, b] = model.F[a, b]
 
 
 def _linear_sense_slope(lane, model, i):
     """H is its own Jacobian."""
-    for j in range(lane.y.shape[0]):
+    for j in range(sample_size(lane)):
         lane.local.rows[j] = model.rows[j]
-        for b in range(lane.x.shape[0]):
+        for b in range(state_size(lane)):
             lane.local.H[j, b] = model.H[j, b]
 
 
@@ -237,16 +240,16 @@ sense_slope = _by_model(_linear_sense_slope, _turn_sense_slope)
 @part
 def scale_noise(lane, model, r):
     """Set R_used = r R."""
-    for i in range(lane.y.shape[0]):
-        for j in range(lane.y.shape[0]):
+    for i in range(sample_size(lane)):
+        for j in range(sample_size(lane)):
             lane.R_used[i, j] = r * model.R[i, j]
 
 
 @kernel
 def extended_step(lane, model, t, received, q, r):
     """One sample of the extended filter: the Kalman filter of the model tangent to f and h."""
-    n = lane.x.shape[0]
-    m = lane.y.shape[0]
+    n = state_size(lane)
+    m = sample_size(lane)
     for i in range(n):
         lane.points[0, i] = lane.x[i]
         for j in range(n):
@@ -285,11 +288,11 @@ def scatter(lane, a):
     QIVBF eq. 18, corrected: 2n points through one n × n factor, without an augmented noise part.
     L is left in the lane's A.
     """
-    n = lane.x.shape[0]
+    n = state_size(lane)
     for i in range(n):
         for j in range(i + 1):
             lane.A[i, j] = lane.P_prior[i, j]
-    if not factorise(lane.A):
+    if not factorise(lane.A, n):
         lane.diverged = NUMERICAL
     reach = a * math.sqrt(n)
     for i in range(n):
@@ -306,7 +309,7 @@ def gather_states(lane, model, weight, q):
 
     QIVBF eq. 20, corrected: the cubature stage subtracts the mean before it squares.
     """
-    n = lane.x.shape[0]
+    n = state_size(lane)
     for b in range(n):
         s = 0.0
         for i in range(1, 2 * n + 1):
@@ -331,8 +334,8 @@ def gather_measurements(lane, a):
     QIVBF eq. 11-13 and 24-25. QIVBF eq. 25, corrected: Pzz subtracts Ẑ Ẑᵀ, and the second line is
     Pxz. Rows that were not received become identity rows, as in `linalg.innovate`.
     """
-    n = lane.x.shape[0]
-    m = lane.y.shape[0]
+    n = state_size(lane)
+    m = sample_size(lane)
     weight = 0.5 / (n * a * a)
     for j in range(m):
         s = 0.0
@@ -363,7 +366,7 @@ def gather_measurements(lane, a):
 @kernel
 def sigma_step(lane, model, t, received, q, r, a):
     """One sample through sigma points of spread a: an unscented stage, or at a = 1 a cubature one."""
-    n = lane.x.shape[0]
+    n = state_size(lane)
     for i in range(n):
         lane.x_prior[i] = lane.x[i]
         for j in range(n):

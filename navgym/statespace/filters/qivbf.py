@@ -28,6 +28,7 @@ from navgym.core.linalg import (
     observe_vector,
     predict,
 )
+from navgym.core.sizes import sample_size, state_size
 from navgym.statespace.batch import Batch
 from navgym.statespace.filters.lane import (
     PERIOD,
@@ -98,7 +99,7 @@ def begin(lanes: NDArray[Any], models: NDArray[Any], parameters: NDArray[Any]) -
 @part
 def follow_model(lane, model):
     """Where the model's R changes over time, R̂ keeps its ratio to the model's variances."""
-    m = lane.y.shape[0]
+    m = sample_size(lane)
     for i in range(m):
         if model.R[i, i] != lane.variances[i]:
             d = math.sqrt(model.R[i, i] / lane.variances[i])
@@ -111,7 +112,7 @@ def follow_model(lane, model):
 @part
 def expected_noise(lane, model):
     """B = E[(y − Hx)(y − Hx)ᵀ] = (y − Hx)(y − Hx)ᵀ + H P Hᵀ over the used components (eq. 36)."""
-    m = lane.y.shape[0]
+    m = sample_size(lane)
     observe_rows(model, lane.P, lane.W)
     for i in range(m):
         if lane.use[i]:
@@ -133,7 +134,7 @@ def complete_noise(lane):
     exact coordinate update with the lost measurement as one more latent variable. With nothing
     lost it does nothing; with a diagonal R it leaves R of the lost components as it is.
     """
-    m = lane.y.shape[0]
+    m = sample_size(lane)
     for i in range(m):
         for j in range(i + 1):
             both = lane.use[i] and lane.use[j]
@@ -188,8 +189,8 @@ def sweep(lane, model, tau_weight, count_weight, complete):
     where s is what it counts. The prior stays fixed over sweeps (eq. 34-35), x restarts from x⁻
     (eq. 40).
     """
-    n = lane.x.shape[0]
-    m = lane.y.shape[0]
+    n = state_size(lane)
+    m = sample_size(lane)
     for i in range(n):
         for j in range(i + 1):
             a = lane.P[i, j] + (lane.x[i] - lane.x_prior[i]) * (lane.x[j] - lane.x_prior[j])
@@ -211,7 +212,7 @@ def sweep(lane, model, tau_weight, count_weight, complete):
 @part
 def bound_noise(lane, model):
     """Bring R̂ down to `MOST_NOISE` of the model's R, component by component."""
-    m = lane.y.shape[0]
+    m = sample_size(lane)
     for i in range(m):
         most = MOST_NOISE * model.R[i, i]
         if lane.R[i, i] > most:
@@ -228,8 +229,8 @@ def adapt(lane, model, sweeps, tau, weight, complete):
     A sample counts for as many seconds as have passed since the last one, at most for `PERIOD`, so
     that memory is in seconds and ten samples that err together do not outvote everything else.
     """
-    n = lane.x.shape[0]
-    m = lane.y.shape[0]
+    n = state_size(lane)
+    m = sample_size(lane)
     tau_weight = weight / (tau + weight)
     count_weight = weight / (lane.count + weight)
     keep_prediction(lane)
@@ -259,7 +260,7 @@ def adapt(lane, model, sweeps, tau, weight, complete):
 @kernel
 def step(lane, model, t, received, sweeps, tau, rho, process, fill, inflation):
     """One sample: predict, forget, judge, adapt, fill. The sample lies in the lane (`receive`)."""
-    m = lane.y.shape[0]
+    m = sample_size(lane)
     predict(lane, model, process)
     silent = silence(lane, t)
     if received > 0:

@@ -23,6 +23,7 @@ from navgym.core.checks import Array
 from navgym.core.compile import kernel, part
 from navgym.core.health import NUMERICAL, settle
 from navgym.core.linalg import correct, innovate, observe_vector
+from navgym.core.sizes import sample_size, state_size
 from navgym.statespace.batch import Batch
 from navgym.statespace.filters.lane import (
     estimate_lanes,
@@ -72,7 +73,7 @@ def begin(
 @part
 def predict_printed(lane, model):
     """x⁻ = F x and, as printed, P_{k|k-1} = (x⁻ − x)(x⁻ − x)ᵀ + Q."""
-    n = lane.x.shape[0]
+    n = state_size(lane)
     for i in range(n):
         s = 0.0
         for j in range(n):
@@ -88,7 +89,7 @@ def predict_printed(lane, model):
 def fill_printed(lane, t):
     """Put the parabola through the last three samples, filled ones included, in place of a loss."""
     received = 0
-    for i in range(lane.y.shape[0]):
+    for i in range(sample_size(lane)):
         if not lane.use[i] and lane.past_count[i] >= 3:
             lane.y[i], _ = quadratic(lane, i, t)
             lane.use[i] = 1
@@ -99,8 +100,8 @@ def fill_printed(lane, t):
 @part
 def sweep_printed(lane, model, m_count, u_count):
     """One sweep as printed; m_count and u_count are the degrees of freedom after it."""
-    n = lane.x.shape[0]
-    m = lane.y.shape[0]
+    n = state_size(lane)
+    m = sample_size(lane)
     for i in range(n):
         for j in range(n):
             d = (lane.x[i] - lane.x_first[i]) * (lane.x[j] - lane.x_first[j])
@@ -121,8 +122,8 @@ def sweep_printed(lane, model, m_count, u_count):
 @kernel
 def step(lane, model, t, received, sweeps, tau, count0):
     """One sample. The sample lies in the lane (`receive`)."""
-    n = lane.x.shape[0]
-    m = lane.y.shape[0]
+    n = state_size(lane)
+    m = sample_size(lane)
     predict_printed(lane, model)
     for i in range(m):
         for j in range(m):
