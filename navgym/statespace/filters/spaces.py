@@ -38,22 +38,22 @@ _VB = (
         "vb_iterations", "N_VB", "1", 1, 20, "linear", 5, integer=True, equation="QIVBF table 1",
     ),
     Parameter(
-        "prior_count", "τ", "1", 0.1, 300.0, "log", 1.2,
-        equation="weight of P⁻ in P̂ (QIVBF eq. 34, 37, corrected)",
+        "prior_count", "τ", "1", 0.1, 300.0, "log", 8.7,
+        equation="weight of P⁻ in P̂, s (QIVBF eq. 34, 37, corrected)",
     ),
     Parameter(
-        "forgetting", "ρ", "1", 0.6, 0.999, "log-complement", 0.89,
-        equation="ν⁻ = ρν, U⁻ = ρU (not in the paper; Huang et al. 2018)",
+        "forgetting", "ρ", "1", 0.6, 0.999, "log-complement", 0.985,
+        equation="per second: ν⁻ = ρν, U⁻ = ρU (not in the paper; Huang et al. 2018)",
     ),
     Parameter(
-        "initial_count", "ν0", "1", 1.0, 100.0, "log", 12.0,
-        equation="first count of R̂ (QIVBF table 1, init, corrected)", at_start=True,
+        "initial_count", "ν0", "1", 1.0, 100.0, "log", 49.0,
+        equation="first count of R̂, s (QIVBF table 1, init, corrected)", at_start=True,
     ),
     Parameter(
-        "initial_scale", "r0", "1", 0.01, 100.0, "log", 8.7,
+        "initial_scale", "r0", "1", 0.01, 100.0, "log", 0.77,
         equation="first R̂ over R (QIVBF table 1, init, corrected)", at_start=True,
     ),
-    replace(PROCESS, default=33.0),
+    replace(PROCESS, default=15.0),
 )  # fmt: skip
 FILL = Parameter(
     "fill", "fill", "1", 0, 1, "linear", 0, integer=True, choices=("skip", "extrapolate"),
@@ -66,7 +66,7 @@ QIVBF = ParameterSpace((*_VB, FILL, INFLATION))
 
 _MODE_STAY = Parameter(
     "mode_stay", "p_s", "1", 0.8, 0.9999, "log-complement", 0.97,
-    equation="probability that a mode stays (not in the paper; Blom & Bar-Shalom 1988)",
+    equation="probability that a mode stays for 1 s (not in the paper; Blom & Bar-Shalom 1988)",
 )  # fmt: skip
 IMM = ParameterSpace((PROCESS, MEASUREMENT, _MODE_STAY))
 BANK = ParameterSpace(
@@ -75,11 +75,11 @@ BANK = ParameterSpace(
         MEASUREMENT,
         Parameter(
             "scale_stay", "p_R", "1", 0.8, 0.9999, "log-complement", 0.995,
-            equation="probability that the R scale stays (not in the paper)",
+            equation="probability that the R scale stays for 1 s (not in the paper)",
         ),
         Parameter(
             "regime_stay", "p_g", "1", 0.8, 0.9999, "log-complement", 0.985,
-            equation="probability that the regime stays (not in the paper)",
+            equation="probability that the regime stays for 1 s (not in the paper)",
         ),
         Parameter(
             "outlier_rate", "ε", "1", 0.0, 0.5, "linear", 0.2,
