@@ -71,8 +71,8 @@ class AUVDropoutEnv(LaneEnv):
     k samples with them beforehand, and `options={{"recording": i}}` chooses a recording of the pool.
 
     ## Episode End
-    `terminated` if the filter diverges (a covariance loses definiteness, or innovations run away a
-    hundred times beyond R): the reward is then -`reward_clip`. `truncated` at the recording's end.
+    `terminated` if the filter diverges (a covariance loses definiteness, or for some twenty samples
+    it foretells worse than who repeats the last measurement): the reward is then -`reward_clip`. `truncated` at the recording's end.
 
     ## Information
     `rmse` and `reference_rmse` of the decision (m), `nis` per received component, `lost` samples,
