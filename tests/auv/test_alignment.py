@@ -1,6 +1,8 @@
 """Delay and lever arm of a reference: tracks of known ones in A-KIT's layout, and the real tracks."""
 
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -195,6 +197,16 @@ def test_as_published_nothing_is_estimated_or_reported(tmp_path):
 TRACKS = range(1, 7)
 
 
+def test_the_example_of_the_data_page_runs(akit, capsys, monkeypatch):
+    page = Path(__file__).parents[2] / "docs" / "science" / "data.md"
+    (example,) = re.findall(r"```python\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
+    monkeypatch.setenv("NAVGYM_DATA", str(akit.parent))
+    exec(compile(example, page.name, "exec"), {})
+    published, aligned, found = capsys.readouterr().out.splitlines()
+    assert float(aligned.split()[1]) < 0.75 * float(published.split()[1])
+    assert found.startswith("1.42")
+
+
 @pytest.fixture(scope="module")
 def real(akit):
     """All six, aligned, by loss rate; two seeds each."""
@@ -220,11 +232,12 @@ def test_aligned_the_real_dvl_agrees_with_the_reference(akit, track):
     assert np.sqrt((difference**2).mean(axis=0)).max() < 0.02
 
 
-@pytest.mark.parametrize(("loss", "wanted"), [(0.1, 0.41), (0.3, 0.53), (0.5, 0.80)])
-def test_most_of_the_error_on_tracks_as_published_is_not_filtering(real, loss, wanted):
-    """The prototype's predict-only Kalman filter: .41/.53/.80 m aligned, .73/.82/1.13 as published."""
+@pytest.mark.parametrize(
+    ("loss", "least", "most"), [(0.1, 0.39, 0.42), (0.3, 0.49, 0.53), (0.5, 0.72, 0.80)]
+)
+def test_most_of_the_error_on_tracks_as_published_is_not_filtering(real, loss, least, most):
+    """The prototype's predict-only Kalman filter had these, and .73/.82/1.13 m as published."""
     batch = Batch.of(real[loss])
     error = (run("kf", batch).states - batch.truth)[..., [0, 2]]
-    assert np.sqrt(np.nanmean((error**2).sum(-1), axis=-1)).mean() == pytest.approx(
-        wanted, rel=0.06
-    )
+    rmse = np.sqrt(np.nanmean((error**2).sum(-1), axis=-1)).mean()
+    assert least - 0.005 < rmse < most + 0.005

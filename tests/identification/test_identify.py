@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+import navgym
 from navgym.identification import METHODS, catalogue, correlate, identify, methods, shape
 from navgym.inertial.flexure import FlexureModel
+from tests.conftest import real_data
 from tests.identification.world import PAPER, exact, logarithms, rms_ln_b, simulate
 
 QUICK = ("rvm", "rvm_dictionary", "nls", "tufts_kumaresan", "regression")
@@ -398,6 +400,21 @@ def test_a_swing_of_seventeen_seconds_is_identified_within_what_it_says(b, zeta,
     assert all(m.diagnostics["short"] for m in found)
     relative = np.concatenate([m.deviation[:, 1] / 2.0 for m in found])
     assert 0.02 < np.median(relative) < 0.6  # a word, neither certainty nor nothing
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize(("trial", "vicon"), [("Test03_Trial1", 4.227), ("Test05_Trial2", 4.186)])
+@pytest.mark.parametrize("seconds", [17.0, None])
+def test_seventeen_seconds_of_the_pendulum_tell_its_frequency(trial, vicon, seconds):
+    recording = navgym.read("repoimu", real_data("repoimu"), trial=trial)
+    rows = None if seconds is None else round(seconds / recording.step)
+    found = identify("nls", navgym.flexure_increments(recording)[:rows], recording.step)
+    swinging = int(np.argmax(found.sigma))
+    away = 0.5 * np.log(found.stiffness[swinging]) - np.log(vicon)
+    deviation = found.deviation[swinging, 1] / 2.0
+    assert abs(away) < 2.0 * deviation
+    assert deviation < 0.1
+    assert found.diagnostics["short"]
 
 
 @pytest.mark.filterwarnings("ignore:.*short record")
