@@ -50,9 +50,18 @@ def _miss(states, truth):
 
 
 EVERYTHING, FIXES = [0, 1, 2, 3], [0, 2]
-# m: after an outlier the adaptive filter takes R for large for some 15 samples, and predicts: without
-# velocities it strays by half a metre a second meanwhile
-ASTRAY = {len(EVERYTHING): 6.0, len(FIXES): 30.0}
+
+
+def not_yet(request, rows):
+    """Without velocities the filter takes R for large for some 15 samples after an outlier.
+
+    It predicts meanwhile and strays by up to 22 m, which no restart is about: it wants an R that
+    forgets an outlier sooner. The bounds here are what is wanted; take the mark off once they hold.
+    """
+    if rows == FIXES:
+        request.applymarker(pytest.mark.xfail(strict=True, reason="R is slow to forget an outlier"))
+
+
 each_log = pytest.mark.parametrize("rows", [EVERYTHING, FIXES], ids=["all", "fixes"])
 
 
@@ -63,28 +72,31 @@ class TestOutliers:
         y[JUMP, 0] += 1000.0
         miss, tuned = live(truth, y, rows)
         assert tuned.restarts == 0
-        assert miss.max() < ASTRAY[len(rows)]
+        assert miss.max() < 6.0
 
     @pytest.mark.parametrize("length", [2, 3, AGREEING - 1])
-    def test_so_is_a_burst_that_is_shorter_than_what_is_believed(self, rows, length):
+    def test_so_is_a_burst_that_is_shorter_than_what_is_believed(self, request, rows, length):
+        if length < AGREEING - 1:
+            not_yet(request, rows)
         truth, y, rng = voyage()
         y[100 : 100 + length, [0, 2]] += [1000.0, -400.0]  # alike
         y[JUMP : JUMP + length, [0, 2]] += 1000.0 * rng.normal(size=(length, 2))
         miss, tuned = live(truth, y, rows)
         assert tuned.restarts == 0
-        assert miss.max() < ASTRAY[len(rows)]
+        assert miss.max() < 10.0
 
-    def test_two_in_a_thousand_of_a_kilometre(self, rows):
+    def test_two_in_a_thousand_of_a_kilometre(self, request, rows):
+        not_yet(request, rows)
         truth, y, rng = voyage(3000)
         wild = rng.random(len(y)) < 0.002
         y[wild] += 1000.0 * rng.normal(size=(wild.sum(), 4)) * [1, 0, 1, 0]
         miss, tuned = live(truth, y, rows)
         assert wild.sum() > 3
         assert tuned.restarts == 0
-        assert miss.max() < ASTRAY[len(rows)]
+        assert miss.max() < 15.0
         # a plain filter that never saw them
         y[wild] = np.nan
-        assert np.sqrt((miss**2).mean()) < 2.0 * np.sqrt((plain(truth, y, rows) ** 2).mean())
+        assert np.sqrt((miss**2).mean()) < 1.5 * np.sqrt((plain(truth, y, rows) ** 2).mean())
 
 
 @each_log
@@ -106,14 +118,15 @@ class TestJumps:
         assert tuned.restarts == 2
         assert miss[JUMP + 12 + AGREEING :].max() < 10.0
 
-    def test_outliers_beside_a_jump_do_not_hide_it(self, rows):
+    def test_outliers_beside_a_jump_do_not_hide_it(self, request, rows):
+        not_yet(request, rows)
         truth, y, rng = voyage(900)
         wild = rng.random(len(y)) < 0.02
         y[wild] += 1000.0 * rng.normal(size=(wild.sum(), 4)) * [1, 0, 1, 0]
         for values in (truth, y):
             values[JUMP:, 0] += 1000.0
         miss, _ = live(truth, y, rows)
-        assert miss[JUMP + RECOVERY :].max() < ASTRAY[len(rows)]
+        assert miss[JUMP + RECOVERY :].max() < 20.0
 
     def test_losses_beside_a_jump_only_delay_it(self, rows):
         truth, y, rng = voyage(900)
