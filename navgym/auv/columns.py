@@ -160,11 +160,12 @@ class Columns:
             )
 
     def decimals(self, quantity: str) -> int:
-        """Most digits after the point in the first cells of a column."""
+        """Most digits after the point in the first cells of a column, zeros at the end left out."""
         cells = self.table.find(self.fields[quantity].column)[:SPELLED]
         mark = self.table.decimal
         tails = (cell.lower().partition("e")[0].partition(mark)[2] for cell in cells)
-        return max((sum(letter.isdigit() for letter in tail) for tail in tails), default=0)
+        found = (sum(letter.isdigit() for letter in tail.rstrip("0")) for tail in tails)
+        return max(found, default=0)
 
     def _quantum(self, quantity: str) -> float:
         return float(10.0 ** -min(self.decimals(quantity), 300))

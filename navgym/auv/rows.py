@@ -19,7 +19,7 @@ SHORTEST = 1e-12  # s between rows: less is rounding, or a wrong unit
 LONGEST_GAP = 30 * 86_400.0  # s: no voyage pauses longer, so the clock was set
 LONG_GAP = 3_600.0, 1_000.0  # s and usual steps: from here a gap is worth a word
 HELD_SHARE = 0.05  # of received values: fewer repeats do no harm
-HELD_CHANGES = 3  # how often a value must change before repeats say anything
+HELD_COUNT = 5  # how often a value must change, and repeat, before that says anything
 FINE, FAIR = 10.0, 3.0  # quanta by which values change; see `is_held`
 SENTINELS = (-9999.0, -999.0, -99999.0, -999999.0, 9999.0, 99999.0, 999999.0, -32768.0, 32767.0)
 FAR = 10.0, 100.0  # extents of the other values, and units, between a sentinel and them
@@ -163,11 +163,11 @@ def is_held(values: Array, repeated: Flags, quanta: Sequence[float]) -> bool | N
         None if it is open: enough repeats to matter, but fine digits do not decide.
     """
     there = ~np.isnan(values).any(axis=1)
-    if not there.any() or repeated[there].mean() < HELD_SHARE:
+    if repeated.sum() < max(HELD_COUNT, HELD_SHARE * there.sum()):
         return False
     fresh = there & ~repeated
     changes = np.abs(np.diff(values[fresh], axis=0))
-    if len(changes) < HELD_CHANGES:
+    if len(changes) < HELD_COUNT:
         return False
     sizes = [np.median(c[c > 0.0]) if (c > 0.0).any() else 0.0 for c in changes.T]
     size = max(s / q for s, q in zip(sizes, quanta, strict=True))

@@ -442,6 +442,14 @@ class TestHeldValues:
         assert judge(2, 2) is None
         assert judge(10, 1) is False
 
+    def test_few_repeats_say_nothing(self, log):
+        rows = [(k, f"{v:.1f}", 0) for k, v in enumerate([1, 0, 1, 0, 0, 2, 2])]
+        assert not quietly(log(lines("time,px,py", rows))).lost.any()
+
+    def test_zeros_that_every_cell_ends_in_are_no_digits(self, log):
+        rows = [(k, f"{k // 4}.000", "0.000") for k in range(100)]
+        doubting(log(lines("time,px,py", rows)), "kept, since their last digits are coarse")
+
 
 class TestAccuracies:
     def test_the_receivers_own_deviations_are_r(self, log):
