@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navgym.auv.columns import HELD
 from navgym.auv.fields import ANNOTATIONS
@@ -17,7 +16,7 @@ from navgym.auv.log import STATES, Log, component_names
 from navgym.auv.rows import merged, order
 from navgym.core.checks import Array, one_of, real_array, within
 from navgym.core.notes import Notes, Progress
-from navgym.core.tables import Table, read_table, write_table
+from navgym.core.tables import read_table, write_table
 from navgym.core.text import LARGEST
 from navgym.statespace.models import LinearModel, step_of
 from navgym.statespace.recording import Model, Recording
@@ -216,27 +215,6 @@ def _arm(lever_arm: object) -> Array | None:
     if arm.shape not in ((2,), (3,)):
         raise ValueError(f"lever_arm must be forward, right (and down), m, got {lever_arm!r}.")
     return arm
-
-
-def measured_columns(table: Table) -> list[str]:
-    """Those of px, vx, py, vy that a table has; ValueError where it has none."""
-    measured = [name for name in STATES if name in table]
-    if not measured:
-        raise ValueError(
-            f"{table.path.name} has no measurement column: name at least one of {', '.join(STATES)}, "
-            f"or say which it is with columns={{'px': ...}}. It holds: {', '.join(table.cells)}."
-        )
-    return measured
-
-
-def lost_flags(table: Table, measured: Sequence[str]) -> NDArray[np.bool_]:
-    """Flags of the columns lost and lost_*, (T, m)."""
-    lost = np.zeros((len(table.lines), len(measured)), dtype=np.bool_)
-    for j, name in enumerate(measured):
-        for column in ("lost", f"lost_{name}"):
-            if column in table:
-                lost[:, j] |= table.flags(column)
-    return lost
 
 
 def default_model(
