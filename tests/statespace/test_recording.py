@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 import navgym
-from navgym import LinearModel, Recording
+from navgym import CoordinatedTurnModel, LinearModel, Recording
 from navgym.core.storage import FORMAT
 
 T = np.arange(5.0)
 Y = np.zeros((5, 4))
 FIELDS = ("time", "measurements", "lost", "truth", "regime", "process_scale", "measurement_scale")
-MODEL = ("F", "H", "Q", "R", "x0", "P0", "position", "velocity")
+MODEL = ("F", "H", "Q", "R", "x0", "P0", "position", "velocity", "sensors", "axes")
 
 
 def same(a, b):
@@ -81,6 +81,90 @@ def test_the_default_model_has_the_time_step_of_the_recording():
     np.testing.assert_array_equal(uneven[:, 0, 1], [1.0, 1.0, 2.0])
 
 
+# accuracies that come with the samples, and steps
+
+
+def with_accuracies(unknown, lost=False):
+    """Five samples whose R[2, 1, 1] is `unknown`, and of which that component may be lost."""
+    R = np.tile(np.diag([1.0, 2.0, 3.0, 4.0]), (5, 1, 1))
+    R[:, 0, 1] = R[:, 1, 0] = 0.5
+    R[2, 1, 1] = unknown
+    y = Y.copy()
+    y[2, 1] = np.nan if lost else 0.0
+    return Recording(T, y, model=LinearModel(R=R))
+
+
+@pytest.mark.parametrize("unknown", [np.nan, 0.0])
+def test_an_accuracy_may_be_unknown_where_the_measurement_is_lost(unknown, tmp_path):
+    recording = with_accuracies(unknown, lost=True)
+    wanted = np.zeros((5, 4), bool)
+    wanted[2, 1] = True
+    np.testing.assert_array_equal(recording.model.deaf, wanted)
+    assert np.isnan(recording.model.R[2, [0, 1, 1], [1, 0, 1]]).all()  # its covariances as well
+    assert np.isfinite(recording.model.R[2, [0, 2, 3], [0, 2, 3]]).all()
+    again = Recording.load(recording.save(tmp_path / "a.npz"))
+    same(again, recording)
+    assert (again.model.pack() == recording.model.pack()).all()
+
+
+@pytest.mark.parametrize("unknown", [np.nan, 0.0])
+def test_an_accuracy_that_is_unknown_where_something_was_received_is_refused(unknown):
+    with pytest.raises(ValueError, match=r"R\[2, 1, 1\] is NaN or 0 and measurements\[2, 1\]") as e:
+        with_accuracies(unknown)
+    assert "set it, or mark the component as lost" in str(e.value)
+
+
+@pytest.mark.parametrize("name", ["kf", "vbakf", "qivbf", "imm", "bank", "ekf", "ukf", "cukf"])
+def test_the_accuracy_of_a_lost_sample_is_never_used(name):
+    """Whatever a receiver says of the accuracy of fixes that it does not have."""
+    rng = np.random.default_rng(0)
+    y = rng.normal(size=(60, 4)).cumsum(axis=0)
+    lost = rng.random(60) < 0.4
+    R = rng.uniform(0.5, 2.0, 60)[:, None, None] * np.eye(4)
+    runs = []
+    for unknown in (1.0, 50.0, np.nan):
+        R[lost] = unknown * np.eye(4)
+        recording = Recording(np.arange(60.0), y, lost, model=LinearModel(R=R))
+        runs.append(navgym.estimate(name, recording))
+    for other in runs[1:]:
+        for field in ("states", "covariances", "nis"):
+            np.testing.assert_allclose(
+                getattr(other, field), getattr(runs[0], field), rtol=1e-9, atol=1e-12
+            )
+
+
+@pytest.mark.parametrize("make", [LinearModel, CoordinatedTurnModel])
+def test_a_model_on_steps_that_it_was_not_made_for_is_refused(make):
+    y = np.ones((5, 4))
+    for time in (T / 3, 1.2 * T, [0.0, 1.0, 2.0, 4.0, 5.0], [0.0, 1.0, 1.85, 3.0, 4.0]):
+        with pytest.raises(
+            ValueError, match=r"the model is made for steps of dt = 1 s, but time\["
+        ):
+            Recording(time, y, model=make(dt=1.0))
+    with pytest.raises(ValueError, match=r"dt = 2 s, but time\[3\] comes 1 s after time\[2\]"):
+        Recording(T, y, model=make(dt=[1.0, 1.0, 1.0, 2.0, 1.0]))
+    with pytest.raises(ValueError, match=r"LinearModel\(dt=numpy\.diff\(time, prepend=") as caught:
+        Recording(T / 3, y, model=make(dt=1.0))
+    if make is LinearModel:  # the remedy works
+        remedy = re.search(r"LinearModel\(.*?\)\)", str(caught.value))[0]
+        names = {"LinearModel": LinearModel, "numpy": np, "time": T / 3}
+        model = eval(remedy, names)
+        np.testing.assert_allclose(Recording(T / 3, y, model=model).model.dt, 1 / 3)
+
+
+@pytest.mark.parametrize("make", [LinearModel, CoordinatedTurnModel])
+def test_clocks_may_miss_their_steps_by_a_tenth(make):
+    time = [0.0, 1.09, 2.0, 3.09, 4.0]
+    assert len(Recording(time, np.ones((5, 4)), model=make(dt=1.0))) == 5
+    first = np.array([9.0, 1.0, 1.0, 1.0, 1.0])  # of the first step no stamp tells
+    assert len(Recording(T, np.ones((5, 4)), model=make(dt=first))) == 5
+    assert len(Recording([3.0], np.ones((1, 4)), model=make(dt=0.2))) == 1
+
+
+def test_a_transition_of_ones_own_is_made_for_any_steps():
+    assert len(Recording(T**2, Y, model=LinearModel(F=np.eye(4)))) == 5
+
+
 def test_length_is_the_number_of_samples():
     assert len(Recording(T, Y)) == 5
 
@@ -94,9 +178,13 @@ def test_length_is_the_number_of_samples():
     meta=st.dictionaries(st.text(), st.integers() | st.text() | st.lists(st.booleans())),
 )
 def test_a_saved_recording_comes_back_bit_for_bit(tmp_path_factory, y, lost, meta):
-    model = LinearModel(dt=np.array([1.0, 1.0, 0.1, 2.0, 3.0]), R=2.0 * np.eye(4))
+    model = LinearModel(
+        dt=np.array([7.0, 1.0, 0.1, 2.0, 3.0]), R=2.0 * np.eye(4),
+        sensors=["gnss", "dvl"] * 2, axes=["x", "x", "y", "y"],
+    )  # fmt: skip
+    time = np.array([0.0, 1.0, 1.1, 3.1, 6.1]) / 1.03
     recording = Recording(
-        T / 3, y, lost, truth=Y + 1 / 3, regime=np.arange(5), model=model, meta=meta,
+        time, y, lost, truth=Y + 1 / 3, regime=np.arange(5), model=model, meta=meta,
         process_scale=T + 1, measurement_scale=T + 2,
     )  # fmt: skip
     path = tmp_path_factory.getbasetemp() / "round.npz"
