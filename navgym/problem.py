@@ -251,6 +251,8 @@ class Study:
         amount: how much is run.
         free: what is varied on simulated recordings by default, of a filter that has the first of
             these; every parameter of other filters.
+        held: what is not varied by default on recordings without truth, because no innovation shows what
+            it does.
         referred: filters whose parameters a scenario's `reference` may hold.
         beside: filters at their defaults that stand beside a tuned one, as far as models allow.
         steering: how headroom is measured; None where no scenario has regimes.
@@ -264,6 +266,7 @@ class Study:
     referred: tuple[str, ...]
     beside: tuple[str, ...]
     steering: Steering | None = None
+    held: tuple[str, ...] = ()
     tables: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
 
 

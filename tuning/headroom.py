@@ -19,7 +19,7 @@ from navgym.tuning.papers import expected
 from navgym.tuning.papers import expected_idam as deck_expected
 from navgym.tuning.papers.expected import Check
 from navgym.tuning.report import page as report
-from navgym.tuning.report import plots, tables
+from navgym.tuning.report import plots, tables, words
 from navgym.tuning.report.page import Figure, Page, Section, Table
 from navgym.tuning.study.run import Search
 
@@ -158,7 +158,7 @@ def _check_line(c: Check) -> str:
     return f"  {c.what}: {c.found:.3f} ± {c.half:.3f}, expected {c.expected:g}: {c.verdict}"
 
 
-def write(found: list[Headroom], out: Path, command: str, **basis: Any) -> Path:
+def write(found: list[Headroom], out: Path, command: str, banner: str = "", **basis: Any) -> Path:
     """Write headroom.json and headroom.html, which record the command; returns the page."""
     rests = report.provenance(command, **basis)
     made = {h.scenario: _as_dict(h) for h in found}
@@ -168,6 +168,7 @@ def write(found: list[Headroom], out: Path, command: str, **basis: Any) -> Path:
         [_verdict(h) for h in found],
         [_section(h) for h in found],
         provenance=rests,
+        banner=banner,
     )
     return report.write_page(out / "headroom.html", page)
 
@@ -188,8 +189,8 @@ def _verdict(found: Headroom) -> str:
     d = comparison.difference(TABLE, FIXED)
     label = comparison.measure.label
     return (
-        f"**{found.scenario}**: parameters by true regime are {100 * d.relative_gain:.1f} % below best "
-        f"fixed ones in {label} (95 % interval {100 * d.gain_low:.1f} to {100 * d.gain_high:.1f} %)."
+        f"**{found.scenario}**: parameters by true regime against best fixed ones in {label}: "
+        f"{words.amount(comparison, d)} less."
     )
 
 

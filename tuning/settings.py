@@ -229,7 +229,11 @@ class StudySettings:
                 n for n in whole.names if n.endswith(NOISE) and n not in (PROCESS.name, ALL_SENSORS)
             ]
             kept = () if each and ALL_SENSORS not in self.range else (ALL_SENSORS,)
-            names = tuple(n for n in whole.names if n != ALL_SENSORS or n in kept)
+            held = self.problem.study.held if self.measure is None else ()
+            names = tuple(
+                n for n in whole.names
+                if (n != ALL_SENSORS or n in kept) and (n not in held or n in self.range)
+            )  # fmt: skip
         if names == (ALL,):
             names = whole.names
         names = tuple(n for n in names if n not in self.fix or n in self.free)

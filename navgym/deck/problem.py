@@ -108,6 +108,9 @@ STEERING = Steering(
 )
 
 STUDY = Study(
+    held=(
+        "velocity_noise",
+    ),  # it lets the lever arm's errors into θ, which foretells no worse for it
     filter="alignment_mcc",
     scenario="deck/switch-60",
     amount=Amount(60, 16, 16, 60),
