@@ -94,7 +94,7 @@ def test_observations_contain_no_truth():
 def test_observations_are_causal():
     recording = recording_of(6)
     changed = recording.measurements.copy()
-    changed[101:] += 50.0
+    changed[101:, [0, 2]] += 50.0
     later = without_truth(recording, measurements=changed, truth=recording.truth)
     actions = np.zeros((40, 4), dtype=np.float32)
     first = episode(AUVDropoutEnv(recordings=[recording]), actions)

@@ -98,6 +98,16 @@ def test_noisier_measurements_than_the_model_has_are_no_divergence(name):
         assert not navgym.estimate(name, recording).diverged
 
 
+@pytest.mark.parametrize("name", ["kf", "imm", "ekf"])
+def test_sensors_that_deny_each_other_are_told(name):
+    """The fixes stand still, the velocity says 1.5 m/s, and the filter ends well off the fixes."""
+    model = navgym.LinearModel.white_acceleration(1.0, 0.1, 1.0, 0.1, x0=[0.0, 1.5, 0.0, 1.5])
+    y = np.tile([0.0, 1.5, 0.0, 1.5], (60, 1))
+    found = navgym.estimate(name, navgym.Recording(np.arange(60.0), y, model=model))
+    assert found.states[-1, 0] > 10.0
+    assert found.diverged
+
+
 def spiked(size, seed=0):
     """One fix of x that is off by `size` sigma, half-way."""
     recording = nominal(seed)
