@@ -82,7 +82,7 @@ def test_a_model_that_moves_wrongly_is_flagged(name, wrong):
 
 
 @pytest.mark.parametrize("name", [*SOUND, "kf_zero", "oracle"])
-@pytest.mark.parametrize("share", [1e-4, 1 / 300.0, 300.0])
+@pytest.mark.parametrize("share", [1e-6, 1 / 300.0, 300.0])
 def test_noise_that_the_model_has_wrong_is_no_divergence(name, share):
     """R 300 times larger than the model's: the motion is right, so the track is kept."""
     for seed in range(3):
@@ -142,7 +142,7 @@ def test_a_spike_that_is_believed_for_a_minute_is_divergence(name):
     assert not diverged
 
 
-@pytest.mark.parametrize("name", [name for name in SOUND if name not in ("vbakf", "qivbf")])
+@pytest.mark.parametrize("name", SOUND)
 @pytest.mark.parametrize("columns", [[0, 2], [0, 1, 2, 3]])
 def test_held_values_are_no_divergence(name, columns):
     """Each value repeated five times, as receivers do: repeating it foretells four of five."""
@@ -151,19 +151,6 @@ def test_held_values_are_no_divergence(name, columns):
         y = recording.measurements.copy()
         y[:, columns] = np.repeat(y[::5][:, columns], 5, axis=0)
         assert not navgym.estimate(name, other(recording, y)).diverged
-
-
-@pytest.mark.parametrize("name", ["vbakf", "qivbf"])
-def test_held_values_that_mislead_a_filter_are_not_called_sound(name):
-    """A filter that adapts R takes repetition for precision; what is flagged is off by far."""
-    for seed in range(3):
-        recording = nominal(seed)
-        held = other(recording, np.repeat(recording.measurements[::5], 5, axis=0))
-        error = {
-            n: np.sqrt(((navgym.estimate(n, held).states - held.truth)[:, [0, 2]] ** 2).mean())
-            for n in (name, "kf")
-        }
-        assert not navgym.estimate(name, held).diverged or error[name] > 2.0 * error["kf"]
 
 
 @pytest.mark.parametrize("name", SOUND)
