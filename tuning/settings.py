@@ -67,7 +67,7 @@ class StudySettings:
         akit: folder of the A-KIT tracks: tune on 1 to 3 without their truth, report on 4 to 6.
         free: parameters to vary; all for every one. By default, of a variational filter on simulated
             conditions, the four that matter there; on other simulated ones every one of the filter's own;
-            on logs and tracks also a noise scale per sensor and axis, where there are several.
+            on logs and tracks also noise scales of further sensors and axes, where there are several.
         fix: parameters held at a value of their own, such as: vb_iterations 3
         range: other ranges, such as: process_noise_scale 1 100. Noise scales may go beyond their usual
             range; on logs they do so by themselves, 1e-4 to 1e4.
@@ -224,16 +224,9 @@ class StudySettings:
         if not names and self.simulated:
             own = self.problem.find(self.filter).space.names
             names = tuple(n for n in usual if n in own) if usual and usual[0] in own else own
-        if not names:  # what scales all sensors is left out where each has a scale of its own
-            each = [
-                n for n in whole.names if n.endswith(NOISE) and n not in (PROCESS.name, ALL_SENSORS)
-            ]
-            kept = () if each and ALL_SENSORS not in self.range else (ALL_SENSORS,)
-            held = self.problem.study.held if self.measure is None else ()
-            names = tuple(
-                n for n in whole.names
-                if (n != ALL_SENSORS or n in kept) and (n not in held or n in self.range)
-            )  # fmt: skip
+        if not names:
+            spare = {*_spare(whole), *(self.problem.study.held if self.measure is None else ())}
+            names = tuple(n for n in whole.names if n not in spare or n in self.range)
         if names == (ALL,):
             names = whole.names
         names = tuple(n for n in names if n not in self.fix or n in self.free)
@@ -274,6 +267,17 @@ class StudySettings:
         """Parameters held at a value of their own."""
         whole = self._whole(space)
         return {name: whole[name].show(whole[name].check(_read(v))) for name, v in self.fix.items()}
+
+
+def _spare(space: ParameterSpace) -> list[str]:
+    """Scales that say nothing of their own: those of the first sensor and of the first axis, where
+    another parameter scales all of R or Q. A search that has both wanders between them.
+    """
+    spare = []
+    for end, whole in ((NOISE, (ALL_SENSORS, "initial_scale")), (AXIS, (PROCESS.name,))):
+        own = [n for n in space.names if n.endswith(end) and n not in (ALL_SENSORS, PROCESS.name)]
+        spare += own[:1] if any(n in space.names for n in whole) else []
+    return spare
 
 
 def _read(text: Any) -> Any:

@@ -48,9 +48,12 @@ def test_on_a_log_of_two_sensors_each_has_a_noise_scale(tmp_path):
     log, fixes = tmp_path / "log.csv", tmp_path / "fixes.csv"
     log.write_text(LOG)
     fixes.write_text("time,px,py\n" + "".join(f"{k},{k}.5,{2 * k}.5\n" for k in range(40)))
-    both = ["process_noise_scale", "position_noise_scale", "velocity_noise_scale"]
+    both = ["process_noise_scale", "measurement_noise_scale", "velocity_noise_scale"]
     assert names(StudySettings(filter="kf", log=(log,))) == both
     assert names(StudySettings(filter="kf", log=(fixes,))) == ["process_noise_scale", "measurement_noise_scale"]  # fmt: skip
+    assert "position_noise_scale" not in names(StudySettings(filter="qivbf", log=(log,)))
+    asked = StudySettings(filter="kf", log=(log,), range={"position_noise_scale": (0.1, 10.0)})
+    assert "position_noise_scale" in names(asked)
     own = StudySettings(filter="kf", log=(log,), free=("velocity_noise_scale",))
     assert names(own) == ["velocity_noise_scale"]
     wrong = StudySettings(filter="kf", log=(log,), free=("velocty_noise_scale",))

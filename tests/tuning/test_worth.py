@@ -48,8 +48,8 @@ def test_a_design_has_the_defaults_first_and_is_spread_over_the_whole_space():
 
 
 def test_on_real_tracks_the_fixes_rank_as_the_truth_does_and_the_likelihood_does_not(akit):
-    """.90 against .33 over the better half of 214 settings, measured elsewhere; here 40."""
-    found = worth.on_tracks(PROBLEMS["auv"], akit, "qivbf", count=40, draws=4)
+    """.90 against .33 over the better half of 214 settings, measured elsewhere; here 128."""
+    found = worth.on_tracks(PROBLEMS["auv"], akit, "qivbf", count=128, draws=4)
     by = {(w.group, w.measure): w for w in found.worth()}
     assert by["tracks 1-6", "fixes"].rank > 0.85
     assert by["tracks 1-6", "likelihood"].rank < 0.7

@@ -69,7 +69,7 @@ def band(told: Consistency) -> str:
 
 def consistent(told: Consistency | None) -> str:
     """NIS or NEES per degree of freedom, marked where it is outside its band."""
-    if told is None:
+    if told is None or not math.isfinite(told.mean):
         return NOTHING
     mark = "" if told.consistent else " ↑" if told.mean > told.high else " ↓"
     return f"{told.mean:.2f}{mark}" if told.mean < 100 else f"{told.mean:,.0f}{mark}"
