@@ -44,9 +44,12 @@ def demo(tmp_path_factory):
 
 def test_the_demo_prints_its_table_and_where_the_page_is(demo):
     out, text, _, results = demo
-    for row in results["conditions"]["switch-D"]["rows"]:
+    for row in results["conditions"]["switch-D, 30 % lost"]["rows"]:
         assert re.search(rf"^{re.escape(row['label'])} ", text, re.MULTILINE)
     assert f"report: {out / 'report.html'}" in text
+    assert re.search(r"position, to 1 m, and its velocity, to 1 m/s", text)
+    assert text.splitlines()[-2].startswith("now your log")
+    assert text.splitlines()[-1].strip().startswith("navgym tune --filter bank --log my.csv")
 
 
 def test_the_page_shows_the_numbers_of_the_results(demo):
@@ -59,13 +62,14 @@ def test_the_page_shows_the_numbers_of_the_results(demo):
     for value in results["tuning"]["chosen"]["values"].values():
         assert f"{value:.4g}" in html
     assert html.count("<svg") >= 6
+    assert "Do not quote these numbers" in html  # it was shortened
     assert not re.search(r"(src|href)=", html.replace("xlink:href=", ""))
     assert str(ROOT) not in html
 
 
 def test_the_page_says_that_filters_which_learn_nothing_are_ahead(demo):
     _, _, html, results = demo
-    rows = {row["label"]: row for row in results["conditions"]["switch-D"]["rows"]}
+    rows = {row["label"]: row for row in results["conditions"]["switch-D, 30 % lost"]["rows"]}
     assert rows["bank"]["mean"] < rows["imm"]["mean"] < rows["qivbf, tuned"]["mean"]
     assert "though nothing in them was tuned or learnt" in html
     assert "Nothing beats <code>kf</code> there" in html

@@ -21,7 +21,8 @@ ABOUT = """Which filter, with which parameters, holds an AUV's position when mea
     navgym demo --quick     the same, shortened to well under a minute
     navgym demo --data FOLDER
 
-1. tunes QIVBF with Optuna on training seeds of the scenario auv/switch-D. The study is kept in a
+1. tunes QIVBF with Optuna on training seeds of the scenario auv/switch-D, 30 % of whose samples are
+   lost. The study is kept in a
    journal under --out: Ctrl-C loses nothing, and the same command goes on where it stopped;
 2. runs the default, the tuned and every other filter on fresh test seeds, all on the same
    recordings, so that differences are paired;
@@ -85,5 +86,6 @@ def _show(options: DemoOptions, command: str) -> None:
     basis = report.provenance(command, tracks=data, seeds=seeds, sampler_seed=options.seed)
     report.write_json(options.out / "results.json", demo.results(found, basis))
     path = report.write_page(options.out / "report.html", demo.page(found, basis))
-    print(f"\n{demo.table(found).as_text()}\n\nreport: {path}")
-    print(f"{time.perf_counter() - began:.0f} s in all")
+    print(f"\n{demo.vehicle()}\n{100 * demo.LOSS:.0f} % of the samples are lost.\n")
+    print(f"{demo.table(found).as_text()}\n\nreport: {path}")
+    print(f"{time.perf_counter() - began:.0f} s in all\n\n{demo.NOW}")
