@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import itertools
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Protocol
@@ -72,10 +73,27 @@ def drawing(caption: str, height: float, **grid: Any) -> Iterator[tuple[Any, lis
         yield canvas.subplots(**grid), made
         wide = _svg(canvas)
         canvas.set_size_inches(NARROW + COLUMN * (grid.get("ncols", 1) - 1), height)
-        for legend in filter(None, (axes.get_legend() for axes in canvas.axes)):
-            legend.set_ncols(min(2, legend._ncols))
+        for axes in canvas.axes:
+            _stack_legend(axes)
         mpl.rcParams["svg.hashsalt"] = "navgym, narrow"  # both stand on one page
         made.append(Figure(wide, caption, _svg(canvas)))
+
+
+def _stack_legend(axes: Axes) -> None:
+    """A legend that stands above the axes in many columns, in two."""
+    legend = axes.get_legend()
+    if legend is None or legend._ncols < 3:
+        return
+    labels = [text.get_text() for text in legend.get_texts()]
+    axes.legend(
+        handles=legend.legend_handles, labels=labels, loc="lower left", bbox_to_anchor=(0.0, 1.0),
+        ncols=2, fontsize=9, borderaxespad=0.2,
+    )  # fmt: skip
+
+
+def wrapped(text: str, width: int = 28) -> str:
+    """A label on as many lines as it needs beside a small figure."""
+    return textwrap.fill(text, width)
 
 
 def _svg(canvas: Canvas) -> str:
@@ -386,7 +404,7 @@ def history(
         )
         axes.set_ylim(low - 0.06 * (top - low), top * 1.04)
         axes.set_xlabel("trial")
-        axes.set_ylabel(f"objective: {axis}")
+        axes.set_ylabel(wrapped(f"objective: {axis}"))
         axes.grid(axis="y")
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=9)
     return made[0]

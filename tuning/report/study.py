@@ -10,6 +10,7 @@ import numpy as np
 import tomli_w
 
 from navgym.core.checks import Array
+from navgym.core.parameters import ParameterSpace
 from navgym.tuned import as_model
 from navgym.tuning import declared
 from navgym.tuning.cases import Cases
@@ -243,6 +244,14 @@ def _about_winner(found: Findings, strong: str = "") -> list[str]:
             f"All noise scales of the winner were multiplied by {found.calibrated:.3g}, so that NIS is 1 "
             "on the recordings that chose it: that moves its covariances, not its estimates."
         )
+    off = [
+        t.mean for t in (c.nis.get(found.tuned) for c in found.reports.values()) if t is not None
+    ]
+    if off and found.held.said and not all(0.5 < mean < 2.0 for mean in off):
+        said.append(
+            f"Do not believe the winner's covariances: NIS is {', '.join(f'{m:.2g}' for m in off)} where 1 "
+            "is right. --measure likelihood tunes noise levels, at the price of position."
+        )
     edges = [s.parameter.name for s in found.sweeps if s.at_edge]
     if edges:
         verb, whose = ("stands", "its") if len(edges) == 1 else ("stand", "their")
@@ -313,9 +322,10 @@ def _over_time(found: Findings, c: Comparison, cases: Cases) -> Figure:
 
 
 def _parameters(found: Findings) -> Section:
-    space = found.space
+    searched = {p.name: p for p in found.goal.space}
+    space = ParameterSpace(tuple(searched.get(p.name, p) for p in found.space))
     sets: dict[str, Mapping[str, Any]] = {
-        "default": space.defaults, "tuned": space.defaults | found.winner,
+        "default": found.space.defaults, "tuned": found.space.defaults | found.winner,
     }  # fmt: skip
     for c in found.reports.values():
         for row in c.rows:

@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from navgym.core.checks import Array
 from navgym.core.parameters import Parameter, ParameterSpace
 from navgym.tuning.report.page import Figure
-from navgym.tuning.report.plots import BEST, FAINT, INK, OWN, PLAIN, drawing
+from navgym.tuning.report.plots import BEST, FAINT, INK, OWN, PLAIN, drawing, wrapped
 from navgym.tuning.study.run import Outcome, Trial
 from navgym.tuning.study.sensitivity import Sweep
 
@@ -56,7 +56,7 @@ def slices(sweeps: Sequence[Sweep], outcome: Outcome, caption: str, unit: str = 
             else:
                 _slice(axes, sweep, outcome)
         for row in panels:
-            row[0].set_ylabel(f"change against the winner, {unit}")
+            row[0].set_ylabel(wrapped(f"change against the winner, {unit}"))
     return made[0]
 
 
@@ -141,7 +141,7 @@ def contour(
         place = [p.warp(float(p.check(chosen.values[p.name]))) for p in (first, second)]
         axes.plot(*place, "o", ms=13, mfc="none", mec=INK, mew=1.6)
         bar = axes.figure.colorbar(dots, ax=axes, pad=0.02)
-        bar.set_label(f"above the best trial, {unit} (cut)")
+        bar.set_label(wrapped(f"above the best trial, {unit} (cut)"))
         bar.outline.set_visible(False)
         for p, which in ((first, "x"), (second, "y")):
             _scale(axes, p, which)
@@ -215,9 +215,12 @@ def over_time(
             axes.fill_between(x, low, high, color=colors[label], alpha=0.2, lw=0)
             axes.plot(x, middle, color=colors[label], lw=1.5, label=label)
         axes.set_xlabel("time, s")
-        axes.set_ylabel(axis)
-        if len(time) > 1:
-            axes.set_xlim(time[0], time[-1])
+        axes.set_ylabel(wrapped(axis))
+        heard = np.flatnonzero(
+            np.any([np.isfinite(t).any(axis=0) for t in traces.values()], axis=0)
+        )
+        if len(heard) > 1:
+            axes.set_xlim(time[heard[0]], time[heard[-1]])
         if squared:
             axes.set_ylim(bottom=0.0)
         axes.grid(axis="y")
