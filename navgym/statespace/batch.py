@@ -26,8 +26,8 @@ class Batch:
         truth: (N, T, n) true states, NaN past a recording's end, or None.
         lengths: (N,) samples of each.
         position: the states that are a position.
-        sensors: of each measurement component, (m,); see `LinearModel`.
-        axes: of each state, (n,).
+        sensors: of each measurement component, (m,), see `LinearModel`; none where recordings differ.
+        axes: of each state, (n,), likewise.
         recordings: what was stacked.
     """
 
@@ -58,13 +58,12 @@ class Batch:
             raise ValueError(
                 f"recordings must share one model size, got {sorted(sizes)}: split them."
             )
-        told = {
-            name: {tuple(getattr(r.model, name)) for r in recordings}
+        positions, sensors, axes = (
+            {tuple(getattr(r.model, name)) for r in recordings}
             for name in ("position", "sensors", "axes")
-        }
-        for name, found in told.items():
-            if len(found) > 1:
-                raise ValueError(f"recordings must agree on their models' {name}, got {found}.")
+        )
+        if len(positions) > 1:
+            raise ValueError(f"recordings must agree on their position states, got {positions}.")
         lengths = np.array([len(r) for r in recordings])
         longest = int(lengths.max())
         packed = [r.model.pack() for r in recordings]
@@ -86,7 +85,9 @@ class Batch:
             scales=scales,
             truth=np.stack([_pad(r.truth, longest, np.nan) for r in recordings]) if known else None,
             lengths=lengths,
-            **{name: found.pop() for name, found in told.items()},
+            position=positions.pop(),
+            sensors=sensors.pop() if len(sensors) == 1 else (),
+            axes=axes.pop() if len(axes) == 1 else (),
             recordings=tuple(recordings),
         )
 

@@ -315,8 +315,19 @@ def _unknown(R: Array) -> Array:
 
 
 def _filled(R: Array) -> Array:
-    """R with a unit row for each component without a known variance: only lost ones have none."""
-    return np.where(np.isnan(R), np.eye(R.shape[-1]), R)
+    """R with the variance last known (or else next known) where a component has none, apart.
+
+    Such a component is lost there; but fills and a bank's modes use the noise of what is lost.
+    """
+    known = ~np.isnan(np.diagonal(R, axis1=-2, axis2=-1))
+    if known.all():
+        return R
+    steps = np.arange(len(R))[:, None]
+    last = np.maximum.accumulate(np.where(known, steps, -1), axis=0)
+    last = np.where(last < 0, known.argmax(axis=0), last)
+    components = np.arange(R.shape[-1])
+    variances = np.nan_to_num(R[last, components, components], nan=1.0)
+    return np.where(np.isnan(R), variances[:, :, None] * np.eye(R.shape[-1]), R)
 
 
 def _sensors(H: Array, position: tuple[int, ...], velocity: tuple[int, ...]) -> tuple[str, ...]:
@@ -334,7 +345,7 @@ def _sensors(H: Array, position: tuple[int, ...], velocity: tuple[int, ...]) -> 
 def _names(field: str, value: Any, default: tuple[str, ...]) -> tuple[str, ...]:
     if value is None:
         return default
-    names = () if isinstance(value, str) else tuple(np.asarray(value).tolist())
+    names = () if isinstance(value, str) else tuple(np.ravel(value).tolist())
     if len(names) != len(default) or not all(
         isinstance(n, str) and n.isidentifier() for n in names
     ):

@@ -97,3 +97,24 @@ def test_wrong_names_and_schedules_are_refused(recording):
         navgym.estimate("kf", recording, {"positoin_noise_scale": 2.0})
     with pytest.raises(ValueError, match="cannot change on the way"):
         navgym.estimate("kf", recording, {"position_noise_scale": [1.0, 2.0]})
+
+
+@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("unknown", [np.nan, 0.0])
+def test_what_is_lost_needs_no_accuracy_whatever_fills_it(name, unknown):
+    """The last known variance stands in, for fills and for modes: the answer is that of R kept."""
+    rng = np.random.default_rng(0)
+    y = rng.normal(size=(40, 4)).cumsum(0)
+    y[10:13] = y[0] = np.nan
+    y[20, 1] = np.nan
+    R = np.tile(0.01 * np.eye(4), (40, 1, 1))
+    gone = R.copy()
+    gone[10:13] = gone[0] = gone[20, 1, 1] = unknown
+
+    def states(R):
+        model = navgym.LinearModel(dt=1.0, R=R)
+        return navgym.estimate(
+            name, navgym.Recording(time=np.arange(40.0), measurements=y, model=model)
+        ).states
+
+    assert np.array_equal(states(gone), states(R), equal_nan=True)
