@@ -15,6 +15,8 @@ from tests.agents.live import episode, parameters, schedule, some_policy, stacke
 
 STEERED = ("vb_iterations", "prior_count", "forgetting", "process_noise_scale", "fill")
 STEADY = {"process_noise_scale": 70.0, "prior_count": 2.0}
+# nine seconds' memory of R: what the policy sees is soon as before once a noisy stretch is over
+FORGETFUL = {"process_noise_scale": 3.0, "prior_count": 1.2, "forgetting": 0.89}
 SPIKE = 1e200
 
 
@@ -207,7 +209,7 @@ class TestRefusals:
 class TestFallback:
     def test_a_shift_beyond_training_triggers_it_and_its_end_ends_it(self):
         recording = calm_then(30.0, 150, 200, 500)
-        env, policy = auv(recording, bias=0.1)
+        env, policy = auv(recording, reference=FORGETFUL, bias=0.1)
         tuned = SelfTuningFilter("qivbf", policy, recording.model, rule=None)
         seen = []
         for seed in range(1, 7):
@@ -238,7 +240,7 @@ class TestFallback:
         recording = navgym.simulate("auv/mismatch", seed=0, steps=300)
         fixed = {"process_noise_scale": 100.0, "prior_count": 170.0, "forgetting": 0.99}
         arguments = {"action_parameters": ("process_noise_scale",), "action": "absolute"}
-        _, policy = auv(recording, bias=-0.2, reference=fixed, **arguments)
+        _, policy = auv(recording, bias=-0.1, reference=fixed, **arguments)
         tuned = SelfTuningFilter("qivbf", policy, recording.model)
         found = list(tuned.follow(recording))
         fallen = np.array([f.fallback is not None for f in found])
