@@ -31,7 +31,7 @@ QUIET = "NAVGYM_QUIET"  # environment variable: anything but empty or 0 keeps th
 VARIABLE = "NUMBA_CACHE_DIR"
 REMEDY = f"set {VARIABLE} to a folder that only you can write to, such as ~/.cache/navgym"
 COMPILING = (
-    "compiling kernels for this machine, once: up to 10 s or so per filter, later starts are quick "
+    "compiling kernels for this machine, once: some 10 to 30 s per filter, later starts are quick "
     "(navgym warm compiles all now)"
 )
 
@@ -53,8 +53,9 @@ def say(kind: str, text: str) -> None:
     if quiet or multiprocessing.parent_process() is not None:
         return
     stream: Any = sys.stderr
+    own = stream is sys.__stderr__
     with contextlib.suppress(OSError, ValueError):  # a stream that is full or closed
-        if stream is not None and stream is sys.__stderr__:
+        if stream is not None and own:
             # past its buffer, which would fail once more at exit
             os.write(stream.fileno(), f"navgym: {text}\n".encode("ascii", "backslashreplace"))
         elif stream is not None:
@@ -243,8 +244,8 @@ class NoCache(caching.NullCache):
         _say_passed_over()
         say(
             UNKEPT,
-            f"compiled kernels cannot be kept ({self.reason}): they compile anew in each process, up "
-            f"to 10 s or so per filter. Better {REMEDY}",
+            f"compiled kernels cannot be kept ({self.reason}): they compile anew in each process, "
+            f"some 10 to 30 s per filter. Better {REMEDY}",
         )
 
 
