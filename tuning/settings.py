@@ -226,6 +226,8 @@ class StudySettings:
             names = tuple(n for n in usual if n in own) if usual and usual[0] in own else own
         if not names:
             spare = {*_spare(whole), *(self.problem.study.held if self.measure is None else ())}
+            if self.measure is None:  # a one-step error cannot see it: NIS sets it afterwards
+                spare.add(ALL_SENSORS)
             names = tuple(n for n in whole.names if n not in spare or n in self.range)
         if names == (ALL,):
             names = whole.names

@@ -269,22 +269,23 @@ def calibrated(
 
     Where every covariance of a model is multiplied by one number, a linear filter's estimates stay and
     its own covariance is multiplied too: a one-step error cannot choose the factor, and NIS can. It is
-    left out where not all noise scales are free, where it would leave a range, or where it moves the
-    one-step error after all. Returns the winner itself and None then.
+    left out where not all noise scales may be moved, where it would leave what is admissible, or where it
+    moves the one-step error after all. Returns the winner itself and None then.
     """
-    names = _all_noises(goal.space)
+    some = next(iter(cases.values()))
+    whole = some.space(settings.filter)
+    fixed = settings.fixed(whole)
+    names = _all_noises(whole, goal.space.names, tuple(fixed))
     blind = all(is_blind(settings, c) for c in cases.values())
     if settings.measure in _NOISE_LEVELS or not blind or not names:
         return chosen, None
-    told = [c.consistency(settings.filter, settings.fixed(c.space(settings.filter)) | dict(chosen.values))[0] for c in cases.values()]  # fmt: skip
-    if any(t is None for t in told):
+    told = [c.consistency(settings.filter, fixed | dict(chosen.values))[0] for c in cases.values()]
+    factor = float(np.mean([math.nan if t is None else t.mean for t in told]))
+    usual = {**whole.defaults, **chosen.values}
+    values = {**chosen.values, **{name: float(usual[name]) * factor for name in names}}
+    ends = {name: whole[name].admissible for name in names}
+    if not all(low <= values[name] <= high for name, (low, high) in ends.items()):
         return chosen, None
-    factor = float(np.mean([t.mean for t in told if t is not None]))
-    values = dict(chosen.values)
-    for name in names:
-        values[name] = float(chosen.values[name]) * factor
-        if not goal.space[name].low <= values[name] <= goal.space[name].high:
-            return chosen, None
     result = goal(values)
     if not abs(result - chosen.result) <= MOVES * abs(chosen.result):
         return chosen, None
@@ -294,13 +295,15 @@ def calibrated(
 _NOISE_LEVELS = ("likelihood", "consistency")  # measures that choose the level by themselves
 
 
-def _all_noises(space: ParameterSpace) -> list[str]:
-    """Free parameters that together scale the whole of Q and R; none if there is not all of it."""
-    names = space.names
-    sensors = [n for n in names if n.endswith(NOISE) and n not in (PROCESS.name, ALL_SENSORS)]
-    if ALL_SENSORS in names:
-        sensors = [ALL_SENSORS]
-    return [PROCESS.name, *sensors] if PROCESS.name in names and sensors else []
+def _all_noises(whole: ParameterSpace, free: Sequence[str], fixed: Sequence[str]) -> list[str]:
+    """Parameters that together scale the whole of Q and R; none if there is not all of it to move."""
+    if PROCESS.name not in free:
+        return []
+    if ALL_SENSORS in whole.names and ALL_SENSORS not in fixed:
+        return [PROCESS.name, ALL_SENSORS]
+    others = (PROCESS.name, ALL_SENSORS)
+    sensors = [n for n in whole.names if n.endswith(NOISE) and n not in others]
+    return [PROCESS.name, *sensors] if sensors and set(sensors) <= set(free) else []
 
 
 def _with_truth(

@@ -136,7 +136,9 @@ def test_what_a_one_step_error_cannot_see_is_chosen_by_nis(logged):
     cases = logged.stages.select[name]
     nis, _ = cases.consistency("kf", logged.winner)
     assert nis.mean == pytest.approx(1.0, rel=0.05)  # P0 does not take part
-    before = {k: v / logged.calibrated for k, v in logged.winner.items()}
+    noises = ("process_noise_scale", "measurement_noise_scale")
+    assert logged.winner["measurement_noise_scale"] == pytest.approx(logged.calibrated)
+    before = logged.winner | {k: logged.winner[k] / logged.calibrated for k in noises}
     told = [
         cases.judge("kf", v, ("fixes",)).quantities["fixes"][0] for v in (before, logged.winner)
     ]
