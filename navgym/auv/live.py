@@ -162,7 +162,10 @@ class LiveAUV(LiveLane):
 
     def _checked(self, measurement: Any) -> Array:
         """The measurement as (m,) floats of its own; ValueError where it is none."""
-        y = real_array("measurement", measurement, finite=False)
+        if type(measurement) is np.ndarray and measurement.dtype == np.float64:
+            y = measurement.copy()  # a subclass may mean more, such as a mask
+        else:
+            y = real_array("measurement", measurement, finite=False)
         m = len(self._y)
         if y.shape != (m,):
             raise ValueError(
