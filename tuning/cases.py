@@ -332,7 +332,7 @@ class Cases:
         Of decks the first `JUDGED` recordings are looked at. None where a filter failed at once.
         """
         scoring, done = self.problem.scoring, 0
-        told: list[tuple[Array, Array, Array, int]] = []
+        told: list[tuple[Any, Any, Any, int]] = []
         for part, own in self._parts(parameters):
             if done >= JUDGED and scoring.at_once is not None:
                 break

@@ -329,7 +329,7 @@ def _ladder(found: Findings) -> Section:
         "Over all samples of each regime, switches included.",
     )
     figure = plots.ladder(main, (TUNED,), caption)
-    items = [figure, tables.ladder(main, (TUNED,), note), regimes]
+    items: list[Table | Figure] = [figure, tables.ladder(main, (TUNED,), note), regimes]
     return Section("Every filter, on fresh recordings", text, items)
 
 

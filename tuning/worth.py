@@ -184,7 +184,7 @@ def on_tracks(
     known = tracks_of(problem)
     cases = {f"{r:.0%} lost": real_cases(problem, folder, r, draws, "train") for r in known.rates}
     place = {track: range(i * draws, (i + 1) * draws) for i, track in enumerate(known.numbers)}
-    sets = {f"track {track}": (track,) for track in known.numbers}
+    sets: dict[str, tuple[int, ...]] = {f"track {track}": (track,) for track in known.numbers}
     sets |= {f"tracks {fold[0]}-{fold[-1]}": fold for fold in (*known.folds, known.numbers)}
     groups = {name: [i for track in fold for i in place[track]] for name, fold in sets.items()}
     settings = design(problem.find(filter_name).space, count, seed)

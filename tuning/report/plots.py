@@ -81,8 +81,8 @@ def drawing(caption: str, height: float, **grid: Any) -> Iterator[tuple[Any, lis
 
 def _stack_legend(axes: Axes) -> None:
     """A legend that stands above the axes in many columns, in two."""
-    legend = axes.get_legend()
-    if legend is None or legend._ncols < 3:
+    legend: Any = axes.get_legend()
+    if legend is None or legend._ncols < 3:  # matplotlib tells it nowhere else
         return
     labels = [text.get_text() for text in legend.get_texts()]
     axes.legend(

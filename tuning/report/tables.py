@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -34,7 +35,7 @@ def _columns(found: Comparison) -> dict[str, Callable[[Row], str]]:
     many = found.runs >= LEAST
     made: dict[str, Callable[[Row], str]] = {found.measure.axis: error}
     for name, quantity in found.quantities.items():
-        made[quantity.axis] = lambda r, name=name: _lost(r) or size(found.beside[r.label][name])
+        made[quantity.axis] = functools.partial(_beside, found.beside, name)
     if many:
         made["median"] = lambda r: size(r.median)
     made["diverged"] = lambda r: percent(r.divergence_rate)
@@ -46,7 +47,7 @@ def _columns(found: Comparison) -> dict[str, Callable[[Row], str]]:
     for name, told in (("NIS", found.nis), ("NEES", found.nees)):
         known = next((each for each in told.values() if each is not None), None)
         if known is not None:
-            made[f"{name} ({band(known)})"] = lambda r, told=told: consistent(told.get(r.label))
+            made[f"{name} ({band(known)})"] = functools.partial(_in_band, told)
     made["µs/step"] = lambda r: f"{found.microseconds[r.label]:.1f}"
     return made
 
@@ -75,8 +76,14 @@ def consistent(told: Consistency | None) -> str:
     return f"{told.mean:.2f}{mark}" if told.mean < 100 else f"{told.mean:,.0f}{mark}"
 
 
-def _lost(row: Row) -> str:
-    return NOTHING if row.diverges else ""
+def _beside(told: Mapping[str, Mapping[str, float]], name: str, row: Row) -> str:
+    """A further quantity of a row."""
+    return NOTHING if row.diverges else size(told[row.label][name])
+
+
+def _in_band(told: Mapping[str, Consistency | None], row: Row) -> str:
+    """NIS or NEES of a row."""
+    return consistent(told.get(row.label))
 
 
 def _label(row: Row) -> str:
