@@ -23,7 +23,7 @@ from tests.twins.gaussian import Log, at, judge, rows, update
 from tests.twins.kalman import corrected_by_fill
 
 LEAST_COUNT, LEAST_COUNT_LOST = 1.0, 10.0
-LEAST_NOISE, MOST_NOISE = 1e-6, 1e4
+LEAST_NOISE, MOST_NOISE, MOST_RISE = 1e-6, 1e4, 10.0
 
 
 def expected_noise(x, P, y, H, R, got):
@@ -99,9 +99,10 @@ def forgotten(count, rho, silent):
     return max(rho**silent * count, fresh, LEAST_COUNT)
 
 
-def bounded(R, R_model):
-    """R̂ with each variance at most 1e4 of the model's, correlations as they are."""
-    excess = np.maximum(np.diag(R) / (MOST_NOISE * np.diag(R_model)), 1.0)
+def bounded(R, R_model, R_before):
+    """R̂ with each variance at most 1e4 of the model's and ten times the last, correlations kept."""
+    most = np.minimum(MOST_NOISE * np.diag(R_model), MOST_RISE * np.diag(R_before))
+    excess = np.maximum(np.diag(R) / most, 1.0)
     D = np.diag(excess**-0.5)
     return D @ R @ D
 
@@ -127,8 +128,9 @@ def variational(
             silent, heard = t - heard, t
             weight = min(silent, 1.0)
             count = forgotten(count, rho, silent)
+            before = R
             x, P, _, R = vb_step(x, P, R, count, y[k], H, R_model, got, sweeps, tau, weight)
-            R, count = bounded(R, R_model), count + weight
+            R, count = bounded(R, R_model, before), count + weight
         for i in np.flatnonzero(got):
             past[i].append((t, y[k, i]))
         if fill == "extrapolate":

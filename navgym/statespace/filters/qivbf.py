@@ -57,6 +57,9 @@ LEAST_COUNT_LOST = 10.0
 # shrink it without end along what they have in common, until it is singular; a filter that has lost
 # the track would take the whole way for noise, and never come back.
 LEAST_NOISE, MOST_NOISE = 1e-6, 1e4
+# One sample multiplies what is remembered of R̂ by no more than this: within the step an outlier of
+# a kilometre is rejected by as much as it takes, but it must not blind the filter for what follows.
+MOST_RISE = 10.0
 EXTRAPOLATE = 1
 
 # columns of a parameter array, in the order of the declared parameter space
@@ -210,16 +213,15 @@ def sweep(lane, model, tau_weight, count_weight, complete):
 
 
 @part
-def bound_noise(lane, model):
-    """Bring R̂ down to `MOST_NOISE` of the model's R, component by component."""
+def remember_noise(lane, model):
+    """R̂ after the sample: what the last sweep used, but for what no single sample may do to it."""
     m = sample_size(lane)
     for i in range(m):
-        most = MOST_NOISE * model.R[i, i]
-        if lane.R[i, i] > most:
-            d = math.sqrt(most / lane.R[i, i])
-            for j in range(m):
-                lane.R[i, j] *= d
-                lane.R[j, i] *= d
+        most = min(MOST_NOISE * model.R[i, i], MOST_RISE * lane.R[i, i])
+        lane.residual[i] = min(1.0, math.sqrt(most / lane.R_used[i, i]))
+    for i in range(m):
+        for j in range(m):
+            lane.R[i, j] = lane.residual[i] * lane.residual[j] * lane.R_used[i, j]
 
 
 @part
@@ -250,10 +252,7 @@ def adapt(lane, model, sweeps, tau, weight, complete):
     joseph(lane, model)
     for i in range(n):
         lane.P_adapted[i] = lane.P_prior[i, i]
-    for i in range(m):
-        for j in range(m):
-            lane.R[i, j] = lane.R_used[i, j]
-    bound_noise(lane, model)
+    remember_noise(lane, model)
     lane.count += weight
 
 
