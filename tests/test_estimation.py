@@ -162,7 +162,7 @@ BAD = [
         lambda: navgym.estimate("kf", PLAIN, {"process_noise": 1}),
         "Did you mean 'process_noise_scale'",
     ),
-    (lambda: navgym.estimate("kf", PLAIN, {"process_noise_scale": 1e9}), "0.1..1000, got 1e+09"),
+    (lambda: navgym.estimate("kf", PLAIN, {"process_noise_scale": 1e9}), "1e-06..1e+06, got 1e+09"),
     (lambda: navgym.estimate("qivbf", PLAIN, {"vb_iterations": 2.5}), "whole number, got 2.5"),
     (lambda: navgym.estimate("kf", PLAIN, [1.0, 2.0, 3.0]), "2 columns"),
     (

@@ -70,17 +70,19 @@ def read(recording, weights):
     )
     before = np.zeros(4)
     found = []
+    last, x, P = np.array([mode[3] for mode in table]), model.x0, model.P0
+    F, Q, silent = np.eye(4), np.zeros((4, 4)), 0
     for k in range(len(recording)):
         got = ~lost[k]
-        fade = 1.0 if got.any() else 0.2
-        T = twin.transition(BANK, 1 - fade * (1 - CHOSEN[2]), 1 - fade * (1 - CHOSEN[3]))
-        last = weights[k - 1].ravel() if k else np.array([mode[3] for mode in table])
-        x, P = (states[k - 1], P_all[k - 1]) if k else (model.x0, model.P0)
-        mixed = last @ T
-        S = model.F @ P @ model.F.T + (mixed @ q) * model.Q + (mixed @ r) * model.R
+        F, Q, silent = model.F @ F, model.F @ Q @ model.F.T + model.Q, silent + 1
+        age = 1.0 + 0.2 * (silent - 1)
+        mixed = last @ twin.transition(BANK, CHOSEN[2] ** age, CHOSEN[3] ** age)
+        S = F @ P @ F.T + (mixed @ q) * Q + (mixed @ r) * model.R
         z = np.zeros(4)
         if got.any():
-            v = recording.measurements[k] - model.F @ x
+            v = recording.measurements[k] - F @ x
+            last, x, P = weights[k].ravel(), states[k], P_all[k]
+            F, Q, silent = np.eye(4), np.zeros((4, 4)), 0
             z[got] = np.linalg.solve(np.linalg.cholesky(S[np.ix_(got, got)]), v[got])
         row = [*np.log(1e-4 + weights[k].sum(1)), *np.log(1e-4 + weights[k].sum(0)), got.mean()]
         if got.any():

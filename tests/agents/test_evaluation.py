@@ -244,7 +244,9 @@ def test_the_page_says_that_filters_which_learn_nothing_are_ahead(switching, tmp
     assert "though nothing in them was tuned or learnt" in html
     for label in A6:
         assert f">{label}<" in html
-    assert html.count("<svg") == 3  # ladder, parameters in time, errors around switches
+    assert (
+        html.count('<div class="wide">') == 3
+    )  # ladder, parameters in time, errors around switches
 
 
 def test_a_combiner_that_learnt_nothing_is_the_bank(tmp_path, monkeypatch):
@@ -311,7 +313,8 @@ def test_the_deck_is_judged_by_four_quantities(tmp_path):
     assert (score["MCC off"], score["true-regime table"]) == (0.0, 1.0)
     bench = Bench(league, (result,), ())
     text = evaluation_tables.as_text([bench])
-    assert f"{result.main['p'].mean:.3f} ± " in text
+    # from three recordings there is no interval
+    assert re.search(rf"^p .*{result.main['p'].mean:.3f} ", text, re.MULTILINE)
     json.dumps(evaluation_tables.as_json([bench], {}), allow_nan=False)
 
 
@@ -346,7 +349,7 @@ def test_the_command_writes_prints_and_succeeds_with_a_better_policy(saved, tmp_
     assert "no A-KIT data" in out
     assert results["provenance"]["command"].startswith("navgym evaluate ")
     assert "NOT BETTER" not in err
-    assert html.count("<svg") == 2  # one regime: no switches to look at
+    assert html.count('<div class="wide">') == 2  # one regime: no switches to look at
     assert not re.search(r"(src|href)=", html.replace("xlink:href=", ""))
 
 

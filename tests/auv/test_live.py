@@ -52,16 +52,6 @@ def _miss(states, truth):
 EVERYTHING, FIXES = [0, 1, 2, 3], [0, 2]
 
 
-def not_yet(request, rows):
-    """Without velocities the filter takes R for large for some 15 samples after an outlier.
-
-    It predicts meanwhile and strays by up to 22 m, which no restart is about: it wants an R that
-    forgets an outlier sooner. The bounds here are what is wanted; take the mark off once they hold.
-    """
-    if rows == FIXES:
-        request.applymarker(pytest.mark.xfail(strict=True, reason="R is slow to forget an outlier"))
-
-
 each_log = pytest.mark.parametrize("rows", [EVERYTHING, FIXES], ids=["all", "fixes"])
 
 
@@ -75,9 +65,7 @@ class TestOutliers:
         assert miss.max() < 6.0
 
     @pytest.mark.parametrize("length", [2, 3, AGREEING - 1])
-    def test_so_is_a_burst_that_is_shorter_than_what_is_believed(self, request, rows, length):
-        if length < AGREEING - 1:
-            not_yet(request, rows)
+    def test_so_is_a_burst_that_is_shorter_than_what_is_believed(self, rows, length):
         truth, y, rng = voyage()
         y[100 : 100 + length, [0, 2]] += [1000.0, -400.0]  # alike
         y[JUMP : JUMP + length, [0, 2]] += 1000.0 * rng.normal(size=(length, 2))
@@ -85,8 +73,7 @@ class TestOutliers:
         assert tuned.restarts == 0
         assert miss.max() < 10.0
 
-    def test_two_in_a_thousand_of_a_kilometre(self, request, rows):
-        not_yet(request, rows)
+    def test_two_in_a_thousand_of_a_kilometre(self, rows):
         truth, y, rng = voyage(3000)
         wild = rng.random(len(y)) < 0.002
         y[wild] += 1000.0 * rng.normal(size=(wild.sum(), 4)) * [1, 0, 1, 0]
@@ -118,8 +105,7 @@ class TestJumps:
         assert tuned.restarts == 2
         assert miss[JUMP + 12 + AGREEING :].max() < 10.0
 
-    def test_outliers_beside_a_jump_do_not_hide_it(self, request, rows):
-        not_yet(request, rows)
+    def test_outliers_beside_a_jump_do_not_hide_it(self, rows):
         truth, y, rng = voyage(900)
         wild = rng.random(len(y)) < 0.02
         y[wild] += 1000.0 * rng.normal(size=(wild.sum(), 4)) * [1, 0, 1, 0]

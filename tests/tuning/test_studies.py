@@ -113,7 +113,7 @@ def test_a_bad_objective_is_refused(cases, arguments, message):
 def test_recordings_without_truth_are_refused():
     recording = navgym.simulate("auv/nominal", steps=5)
     blind = navgym.Recording(recording.time, recording.measurements, model=recording.model)
-    with pytest.raises(ValueError, match=r"needs the truth.*'likelihood'"):
+    with pytest.raises(ValueError, match=r"needs the truth.*'fixes'"):
         Objective("kf", ["process_noise_scale"], Cases.of([blind]))
     with pytest.raises(ValueError, match="truth"):
         compare([Entry("kf", "kf")], Cases.of([blind]), "kf")

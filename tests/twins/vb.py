@@ -23,7 +23,7 @@ from tests.twins.gaussian import Log, at, judge, rows, update
 from tests.twins.kalman import corrected_by_fill
 
 LEAST_COUNT, LEAST_COUNT_LOST = 1.0, 10.0
-LEAST_NOISE, MOST_NOISE, MOST_RISE = 1e-6, 1e4, 10.0
+LEAST_NOISE, MOST_NOISE, MOST_RISE = 1e-6, 1e4, 6.0
 
 
 def expected_noise(x, P, y, H, R, got):
@@ -100,7 +100,7 @@ def forgotten(count, rho, silent):
 
 
 def bounded(R, R_model, R_before):
-    """R̂ with each variance at most 1e4 of the model's and ten times the last, correlations kept."""
+    """R̂ with each variance at most 1e4 of the model's and six times the last, correlations kept."""
     most = np.minimum(MOST_NOISE * np.diag(R_model), MOST_RISE * np.diag(R_before))
     excess = np.maximum(np.diag(R) / most, 1.0)
     D = np.diag(excess**-0.5)

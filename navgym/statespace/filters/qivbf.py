@@ -59,7 +59,7 @@ LEAST_COUNT_LOST = 10.0
 LEAST_NOISE, MOST_NOISE = 1e-6, 1e4
 # One sample multiplies what is remembered of R̂ by no more than this: within the step an outlier of
 # a kilometre is rejected by as much as it takes, but it must not blind the filter for what follows.
-MOST_RISE = 10.0
+MOST_RISE = 6.0
 EXTRAPOLATE = 1
 
 # columns of a parameter array, in the order of the declared parameter space
