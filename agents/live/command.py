@@ -10,7 +10,7 @@ from typing import Any, BinaryIO
 
 from navgym.agents.live.lines import LONGEST_LINE, Format, Noise, estimates
 from navgym.agents.policies.policy import Policy, located
-from navgym.readers import ReaderOptions
+from navgym.readers import ReaderOptions, words_after
 
 ABOUT = """Filter a log line by line, as it arrives, with parameters that a trained policy sets.
 
@@ -19,8 +19,9 @@ ABOUT = """Filter a log line by line, as it arrives, with parameters that a trai
     some_logger | navgym stream auv --read position_noise 5 columns.px "north (m)"
 
 The first line of standard input names the columns: time (s) and any of px, vx, py, vy (m, m/s), or
-lat and lon; names and units are understood as everywhere ("North (m)", "Time [ms]"). Each further line is a sample, at any time after the last one; an empty cell or nan is a lost component
-(as are lost, lost_px, ...). After each, a line goes to standard output: time as it came, state,
+lat and lon; names and units are understood as everywhere ("North (m)", "Time [ms]"). Each further
+line is a sample, at any time after the last one; an empty cell or nan is a lost component (as are
+lost, lost_px, ...). After each, a line goes to standard output: time as it came, state,
 standard deviations, normalised innovation squared, and whether the best fixed parameters are in force
 instead of the policy's. Why, and since when, is said on standard error, and so is what was left out.
 
@@ -30,17 +31,9 @@ filter begins anew. One measurement far off is an outlier; five that agree are w
 POLICY is auv, which comes with navgym, or what `navgym train` wrote (policy.npz and policy.json)
 for navgym/AUVDropout-v0. Neither torch nor any extra of navgym is needed.
 """
-OPTIONS = {
-    "position_noise": "position",
-    "velocity_noise": "velocity",
-    "acceleration": "acceleration",
-}
-FORMAT = (
-    "columns",
-    "units",
-    "delimiter",
-    "time_scale",
-)  # reader options that make sense for a stream
+# reader options that make sense for a stream: of the model's noise by what they are called here
+OPTIONS = {"position_noise": "position", "velocity_noise": "velocity", "acceleration": "acceleration"}  # fmt: skip
+FORMAT = ("columns", "units", "delimiter", "time_scale")
 
 
 def parse(words: Sequence[str]) -> argparse.Namespace:
@@ -57,11 +50,12 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
     add("--step", type=float, default=1.0, help="usual step between samples, s (%(default)s)")
     add("--delimiter", help="between cells (a comma); \\t: a tab")
     add(
-        "--read", nargs="+", default=[], metavar="WORD",
+        "--read", nargs="+", metavar="WORD",
         help="the same as words of any command that reads logs: a mapping file, pairs of "
         f"{', '.join([*OPTIONS, *FORMAT])} and their values",
     )  # fmt: skip
-    return parser.parse_args(list(words))
+    told, rest = words_after("--read", words)
+    return parser.parse_args(rest, argparse.Namespace(read=told))
 
 
 def main(words: Sequence[str]) -> int:
