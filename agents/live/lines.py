@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
 from pathlib import Path
@@ -89,7 +89,7 @@ def estimates(
     noise: Noise,
     notice: Callable[[str], None],
     form: Format = Format(),
-) -> Iterator[str]:
+) -> Generator[str]:
     """Lines of text with the estimate after each line of a log.
 
     A line that cannot be read, or whose time comes late or twice, is left out, and the next one

@@ -13,7 +13,7 @@ from typing import Any
 from numba.extending import overload
 
 UNROLLED = 5
-_OPTIONS = {"error_model": "numpy", "nogil": True, "forceinline": True}
+_OPTIONS: Any = {"error_model": "numpy", "nogil": True, "forceinline": True}
 
 
 def _short(record: Any, array: str) -> bool:

@@ -218,7 +218,8 @@ class LinearModel(Frozen):
     @property
     def deaf(self) -> NDArray[np.bool_]:
         """Where R knows no variance of a component, so that it must be lost: (m,) or (T, m)."""
-        return np.isnan(np.diagonal(self.R, axis1=-2, axis2=-1))
+        unknown: NDArray[np.bool_] = np.isnan(np.diagonal(self.R, axis1=-2, axis2=-1))
+        return unknown
 
     @property
     def steps(self) -> int | None:

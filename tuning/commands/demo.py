@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from navgym.auv.problem import TRACKS
-from navgym.command import STOPPED, as_typed
+from navgym.command import as_typed
 from navgym.core.data import data_folder
+from navgym.core.interrupts import STOPPED
 from navgym.tuning import demo
 from navgym.tuning.commands.parse import parse
 from navgym.tuning.report import page as report

@@ -11,8 +11,9 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from navgym.auv.problem import TRACKS
-from navgym.command import STOPPED, as_typed
+from navgym.command import as_typed
 from navgym.core.data import absent, data_folder
+from navgym.core.interrupts import STOPPED
 from navgym.tuning.commands.parse import parse
 from navgym.tuning.papers import idam, qivbf
 from navgym.tuning.report import page as report

@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
-from navgym.command import STOPPED, as_typed
+from navgym.command import as_typed
+from navgym.core.interrupts import STOPPED
 from navgym.tuning import tune
 from navgym.tuning.commands.parse import configured, parse
 from navgym.tuning.report import study as tune_report
