@@ -219,7 +219,9 @@ def test_output_that_nobody_reads_any_more_ends_the_stream_quietly(tmp_path):
     (tmp_path / "log.csv").write_text(lines)
     shell = f"{sys.executable} -m navgym.command stream auv < {tmp_path / 'log.csv'} | head -n 2"
     status, out, err = ended(started(["bash", "-c", shell]))
-    assert (status, len(out.splitlines()), err) == (0, 2, "")
+    assert (status, len(out.splitlines())) == (0, 2)
+    # what a stream says beside its estimates, such as that it falls back, but no error
+    assert all(line.startswith("time ") for line in err.splitlines())
 
 
 def test_the_same_words_are_recorded(tmp_path):

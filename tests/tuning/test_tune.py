@@ -195,9 +195,11 @@ def test_tuned_without_truth_the_real_tracks_are_tracked_better_than_by_default(
 
 
 def test_headroom_is_what_the_true_regime_is_worth(tmp_path):
-    found = headroom("auv/switch-D", 0, tmp_path, amount=Amount(24, 10, 10, 40), steps=300)
+    """The typical recording gains a tenth; a mean over 40 hangs on whether one of them locks out."""
+    found = headroom("auv/switch-D", 0, tmp_path, amount=Amount(40, 20, 20, 40), steps=300)
     comparison = found.comparisons["rmse"]
-    assert comparison.difference(TABLE, FIXED).gain_low > 0.05
+    gain = comparison.difference(TABLE, FIXED)
+    assert gain.median_difference < -0.1 * comparison[FIXED].mean
     assert comparison["oracle"].mean < comparison[TABLE].mean < comparison[FIXED].mean
     with pytest.raises(ValueError, match="unknown scenario"):
         headroom("auv/switch-X", 0, tmp_path)
