@@ -139,7 +139,9 @@ def choose_defaults(options: Options) -> dict[str, Any]:
     for fold, name in enumerate(("tracks of the first fold", "and of the other")):
         for rate, cases in tracks("test", fold, options).items():
             found, plain = mean_error(FILTER, values, cases), mean_error("kf", None, cases)
-            print(f"{name}, {rate:.0%} lost: {found:.3f} m, kf {plain:.3f} ({found / plain - 1:+.1%})")
+            print(
+                f"{name}, {rate:.0%} lost: {found:.3f} m, kf {plain:.3f} ({found / plain - 1:+.1%})"
+            )
     return {"values": values, "errors": ladder({"best": (FILTER, values)}, options)}
 
 
