@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 HOME = {"navgym": "navgym", "agents": "navgym.agents", "tuning": "navgym.tuning"}
 
-PROBLEMS = {"auv", "deck"}
+PROBLEMS = {"auv", "deck", "ins"}
 ABOVE = {"agents", "tuning"}
 # everything that knows no problem: rooms, and the files in navgym/ itself
 GENERAL = {

@@ -23,11 +23,18 @@ from navgym.deck import alignment
 from navgym.deck.live import LiveDeck
 from navgym.deck.settings import DeckDeformationSettings
 from navgym.envs.actions import fill_rows
+from navgym.inertial.mechanization import mechanise
+from navgym.ins import estimation as ins_estimation
+from navgym.ins.batch import InsBatch
+from navgym.ins.catalogue import CATALOGUE
+from navgym.ins.model import AidingModel
+from navgym.ins.recording import Aiding
 from navgym.statespace.batch import Batch
 from navgym.statespace.filters import bank, combiner
 from tests.deck.lanes import outputs_for, prepare, rule_of, run_alignment
 from tests.helpers import NAMES
 from tests.inertial import test_update
+from tests.ins import lanes as ins_lanes
 
 PACKAGE = Path(navgym.__file__).parent
 AUV = (
@@ -43,7 +50,8 @@ def numbers():
     """Arrays by name, from every family of kernels."""
     found = {}
     for part in (
-        filters, mixture, deck, failing, updating, mechanised, identification, environments, live_auv, live_deck
+        filters, mixture, deck, failing, updating, mechanised, inertial, identification, environments, live_auv,
+        live_deck,
     ):  # fmt: skip
         found |= {f"{part.__name__} {name}": plain(v) for name, v in part().items()}
     return found
@@ -133,6 +141,33 @@ def mechanised():
     recording = navgym.simulate("deck/slam", seed=2, duration=0.5)
     tape = run_alignment([recording])["tapes"]
     return {name: tape[name] for name in tape.dtype.names}
+
+
+def inertial():
+    """The INS: simulator, tape, dead reckoning, and filters by all rules on every kind of sensor."""
+    r = ins_lanes.made(seed=1, duration=4.2, samples_per_step=13, fix_period=1.0, dvl_period=0.5)
+    model = r.model.replace(sensors=r.model.sensors | {"heading": AidingModel("heading", 0.05)})
+    heading = Aiding(r.step_time, r.truth[:, 8])
+    dvl = r.aiding["dvl"]
+    lost = Aiding(dvl.time, dvl.values, np.arange(len(dvl)) >= 4)
+    r = dataclasses.replace(
+        r, model=model, aiding=dict(r.aiding) | {"heading": heading, "dvl": lost},
+        noise_scales=dict(r.noise_scales) | {"heading": np.ones(len(heading))},
+    )  # fmt: skip
+    batch, count, found = InsBatch.of([r]), len(r), {"angle": r.angle}
+    for name, chosen in CATALOGUE.items():
+        for fill in (0, 1, 2) if name == "ins_kf" else (0,):
+            run = ins_estimation.run(
+                chosen, batch, chosen.space.array({"fill": fill})[None], 5, True
+            )
+            found |= {f"{name} {fill} {what}": getattr(run, what) for what in ("states", "covariances", "nis")}  # fmt: skip
+    place, v, C = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3, 3))
+    start = batch.models["start"][0]
+    mechanise(
+        np.array(r.angle), np.array(r.velocity), r.interval, start[:3].copy(), start[3:6].copy(),
+        start[6:].reshape(3, 3).copy(), place, v, C,
+    )  # fmt: skip
+    return found | {"place": place, "v": v}
 
 
 def identification():

@@ -1,0 +1,1 @@
+"""Tests of the INS: the AUV navigator with its own filter."""
