@@ -38,7 +38,7 @@ SCALES = np.array([0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0])  # of a bank's
 OUTLIER_RATE, OUTLIER = 0.05, 100.0  # each scale once more, so much larger
 STAY = 0.97  # probability that a scale stays from one measurement to the next
 VB_START = 4.0  # measurements that the first R counts for
-VB_LEAST, VB_MOST = 0.1, 100.0  # bounds of λ: an R without bound runs away with a wrong prediction
+VB_LEAST, VB_MOST = 0.1, 300.0  # bounds of λ: an R without bound runs away with a wrong prediction
 
 _f8, _i8 = np.float64, np.int64
 

@@ -35,6 +35,7 @@ class InsRegime:
         fix_outlier_scale: as a variance.
         anomaly: size of a magnetic disturbance, µT.
         imu_scale: of the IMU's white noise (vibration).
+        dwell: s, least and largest time in it; None: the scenario's.
     """
 
     name: str
@@ -48,9 +49,12 @@ class InsRegime:
     fix_outlier_scale: float = 225.0
     anomaly: float = 0.0
     imu_scale: float = 1.0
+    dwell: Pair | None = None
 
     def __post_init__(self) -> None:
-        for f in dataclasses.fields(self)[1:]:
+        if self.dwell is not None:
+            span(f"dwell of regime {self.name!r}", self.dwell, 0.0, above=True)
+        for f in dataclasses.fields(self)[1:-1]:
             share = f.name.endswith(("loss", "outliers"))
             top = {"high": 1.0} if share else {}
             positive = f.name.endswith("scale")
@@ -64,7 +68,7 @@ FISH = InsRegime("fish", dvl_outliers=0.25)
 NO_LOCK = InsRegime("no lock", dvl_loss=1.0)
 MULTIPATH = InsRegime("multipath", fix_outliers=0.35, fix_loss=0.3)
 THERMOCLINE = InsRegime("thermocline", fix_scale=25.0, fix_loss=0.5)
-ANOMALY = InsRegime("anomaly", anomaly=8.0)
+ANOMALY = InsRegime("anomaly", anomaly=8.0, dwell=(20.0, 60.0))
 VIBRATION = InsRegime("vibration", imu_scale=100.0)
 
 
@@ -89,7 +93,8 @@ class InsScenario:
         waves: degrees, standard deviation of the roll near the surface; it fades with depth.
         current: m/s, standard deviation of a component; it wanders over `current_time`.
         current_time: s.
-        regimes: conditions that follow one another, the next drawn uniformly among the others.
+        regimes: conditions that follow one another; the first comes first, then each next is drawn uniformly
+            among the others.
         dwell: s, least and largest time in a regime.
         outages: (begin, length), s, in which the Doppler log is silent.
         dvl_period: s between its measurements.
@@ -284,7 +289,7 @@ def _catalogue() -> dict[str, InsScenario]:
         ),
         InsScenario("dvl-switch", "calm, rough, fish and no bottom lock follow one another", regimes=DVL_REGIMES, fix_period=5.0),
         InsScenario("usbl-switch", "calm, multipath and thermocline follow one another", regimes=FIX_REGIMES, fix_period=5.0),
-        InsScenario("anomaly", "magnetic anomalies of 8 µT, 20 to 60 s long", regimes=(CALM, ANOMALY), dwell=(20.0, 60.0), fix_period=5.0),
+        InsScenario("anomaly", "magnetic anomalies of 8 µT, 20 to 60 s long", regimes=(CALM, ANOMALY), fix_period=5.0),
         InsScenario(
             "survey", "everything that happens to sensors, one after the other",
             regimes=(CALM, ROUGH, FISH, NO_LOCK, MULTIPATH, THERMOCLINE, ANOMALY), fix_period=5.0,

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navgym.core.checks import Array
-from navgym.core.regimes import sequence
 from navgym.core.seeds import split_of
 from navgym.inertial.earth import radii_of_curvature
 from navgym.inertial.mechanization import increments
@@ -62,7 +61,7 @@ def _one(scenario: InsScenario, seed: int) -> InertialRecording:
     regime, scale = _regimes(scenario, rngs["order"])
     rate = angle / h
     constants = _constants(scenario, rngs["sensors"])
-    bias = _add_imu_errors(angle, velocity, scenario.imu, h, np.repeat(scale, per), rngs["imu"])
+    bias = add_imu_errors(angle, velocity, scenario.imu, h, np.repeat(scale, per), rngs["imu"])
     truth = np.empty((T // per, STATES))
     ends = np.arange(per - 1, T, per)
     truth[:, R], truth[:, V] = position[ends], track.velocity[ends + 1]
@@ -99,10 +98,17 @@ def local(places: Array, origin: Array) -> Array:
 def _regimes(scenario: InsScenario, rng: np.random.Generator) -> tuple[NDArray[np.int64], Array]:
     """Label (K,) and scale of the IMU's white noise (K,) of each filter step."""
     per = scenario.samples_per_step / scenario.rate
-    low, high = (max(1, round(d / per)) for d in scenario.dwell)
-    labels = sequence(
-        len(scenario.regimes), (low, high), scenario.samples // scenario.samples_per_step, rng
-    )
+    count, steps = len(scenario.regimes), scenario.samples // scenario.samples_per_step
+    labels = np.zeros(steps, dtype=np.int64)
+    k = steps if count == 1 else 0
+    now = 0  # a mission begins in calm: who calibrates in an anomaly knows no better
+    while k < steps:
+        dwell = scenario.regimes[now].dwell or scenario.dwell
+        low, high = (max(1, round(d / per)) for d in dwell)
+        stay = int(rng.integers(low, high + 1))
+        labels[k : k + stay] = now
+        k += stay
+        now = (now + 1 + int(rng.integers(count - 1))) % count
     return labels, np.array([r.imu_scale for r in scenario.regimes])[labels]
 
 
@@ -117,7 +123,7 @@ def _constants(scenario: InsScenario, rng: np.random.Generator) -> dict[str, Any
     }
 
 
-def _add_imu_errors(
+def add_imu_errors(
     angle: Array, velocity: Array, grade: ImuGrade, h: float, scale: Array, rng: np.random.Generator
 ) -> tuple[Array, Array]:
     """Spoil increments (T, 3) in place; returns the biases (T, 3) of gyros and accelerometers."""

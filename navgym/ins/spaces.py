@@ -51,7 +51,7 @@ WIDTH = Parameter(
     equation="of the correntropy criterion (IDAM eq. 45)",
 )  # fmt: skip
 FORGETTING = Parameter(
-    "forgetting", "ρ", "1", 0.85, 0.995, "log-complement", 0.97,
+    "forgetting", "ρ", "1", 0.85, 0.995, "log-complement", 0.9,
     equation="of R̂ from one measurement of a sensor to the next: ν⁻ = ρν, U⁻ = ρU (Huang et al. 2018)",
 )  # fmt: skip
 ITERATIONS = Parameter(
