@@ -590,6 +590,7 @@ class Registered:
 REGISTERED: dict[str, Registered] = {
     "auv": Registered("navgym.auv.problem:PROBLEM", "navgym/AUVDropout-v0", "navgym.auv.environment:AUVDropoutEnv"),
     "deck": Registered("navgym.deck.problem:PROBLEM", "navgym/DeckDeformation-v0", "navgym.deck.environment:DeckDeformationEnv"),
+    "ins": Registered("navgym.ins.problem:PROBLEM", "navgym/INSDropout-v0", "navgym.ins.environment:INSDropoutEnv"),
 }  # fmt: skip
 
 

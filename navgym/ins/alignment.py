@@ -20,7 +20,10 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from navgym.core.checks import Array
 
-LONGEST_DELAY, COARSE = 3.0, 0.1  # s, searched either way; s, of the grid that the search starts from
+LONGEST_DELAY, COARSE = (
+    3.0,
+    0.1,
+)  # s, searched either way; s, of the grid that the search starts from
 RATES = 0.01  # share by which a clock may run wrong
 SMOOTH = 1.0  # s: rates are compared as means over so long, which a reference at 1 Hz can show
 NOISE, FARTHEST = 0.02, 5.0  # m/s, m: a lever arm that no turn shows is drawn to zero by these
@@ -59,7 +62,9 @@ class Path:
         inside = (at >= self.time[0]) & (at <= self.time[-1])
         t, found = at[inside], np.full((len(at), 9), np.nan)
         C = spline(t)
-        found[inside, :3] = CubicHermiteSpline(self.time, self.position, self.velocity)(t) + C.apply(arm)
+        found[inside, :3] = CubicHermiteSpline(self.time, self.position, self.velocity)(
+            t
+        ) + C.apply(arm)
         swing = C.apply(np.cross(spline(t, order=1), arm))
         found[inside, 3:6] = CubicSpline(self.time, self.velocity)(t) + swing
         found[inside, 6:] = C.as_euler("ZYX")[:, ::-1]

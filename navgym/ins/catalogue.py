@@ -27,7 +27,7 @@ _ALL = (
     Filter("ins_mcc", "the same, robust by the correntropy criterion", spaces.MCC, "ins", Ins("correntropy")),
     Filter("ins_vb", "the same, each sensor's R estimated: the QIVBF of the 18-state model", spaces.VB, "ins", Ins("variational")),
     Filter("ins_bank", "the same, 16 hypotheses on each sensor's R in measurement space", spaces.BANK, "ins", Ins("bank")),
-    Filter("ins_oracle", "told the true noise of every measurement and of the IMU", spaces.ORACLE, "ins", Ins("oracle"), needs_scales=True),
+    Filter("oracle", "told the true noise of every measurement and of the IMU", spaces.ORACLE, "ins", Ins("oracle"), needs_scales=True),
 )  # fmt: skip
 
 CATALOGUE: Mapping[str, Filter] = MappingProxyType({f.name: f for f in _ALL})

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,10 +11,11 @@ from numpy.typing import NDArray
 
 from navgym.core.checks import Array
 from navgym.core.parameters import ParameterSpace
+from navgym.estimation import Estimate
 from navgym.ins import filtering as kernels
 from navgym.ins.batch import InsBatch
 from navgym.ins.catalogue import Ins
-from navgym.ins.error_state import COLUMNS, LANE, STATES
+from navgym.ins.error_state import BA, BG, COLUMNS, LANE, PHI, STATES, R, V
 from navgym.problem import Filter, Run
 
 RULES = ("trust", "student", "correntropy", "variational", "bank", "oracle")  # the kernel's numbers
@@ -23,6 +26,7 @@ OFF = {
     "student_freedom": 4.0, "kernel_width": 50.0, "forgetting": 0.97, "vb_iterations": 3.0,
     "vibration_meter": 0.0,
 }  # fmt: skip
+UNKNOWN = 5.0  # °, standard deviation of a heading that counts as not known
 NO_GATE = 1e4  # a gate of this and more is off
 
 
@@ -84,3 +88,81 @@ def columns_of(space: ParameterSpace) -> NDArray[np.int64]:
     """Where each of the kernel's columns stands in a space; -1 where it is not exposed."""
     names = space.names
     return np.array([names.index(c) if c in names else -1 for c in COLUMNS])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class InsEstimate(Estimate):
+    """What an INS filter made of one recording of K filter steps.
+
+    States (K, 22) are position (m, NED of the origin), velocity (m/s), roll, pitch, heading (rad), biases of
+    gyros (rad/s) and accelerometers (m/s²), hard iron (µT), the Doppler log's scale error and misalignment
+    (rad), and current (m/s). Covariances are of the error state: rows of the attitude are tilts about north,
+    east and down. Innovations (K, 14) are measured less predicted: Doppler log, depth, fix, magnetometer,
+    heading, water track; of several in a step the last; NaN where there was none.
+
+    Args:
+        origin: (3,) latitude and longitude (rad) and height (m) that positions count from.
+    """
+
+    origin: Array
+
+    @property
+    def position(self) -> Array:
+        """(K, 3) m, north, east, down of the origin."""
+        return self.states[:, R]
+
+    @property
+    def velocity(self) -> Array:
+        """(K, 3) m/s, north, east, down."""
+        return self.states[:, V]
+
+    @property
+    def angles(self) -> Array:
+        """(K, 3) roll, pitch, heading, rad."""
+        return self.states[:, PHI]
+
+    @property
+    def gyro_bias(self) -> Array:
+        """(K, 3) rad/s."""
+        return self.states[:, BG]
+
+    @property
+    def accelerometer_bias(self) -> Array:
+        """(K, 3) m/s²."""
+        return self.states[:, BA]
+
+    @property
+    def deviations(self) -> Array:
+        """(K, 22) standard deviations of the states; of the attitude about north, east, down."""
+        found: Array = np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2))
+        return found
+
+    @property
+    def weights(self) -> Array:
+        """(K, 6) by what each kind's R was divided, last; NaN where nothing came."""
+        found: Array = self.extras["weights"]
+        return found
+
+
+def estimate(chosen: Filter, batch: InsBatch, run: Run) -> InsEstimate:  # noqa: ARG001
+    """What a filter made of a batch's only recording.
+
+    Warns (UserWarning) where the heading is not known at the end, and where IMU samples were filled in.
+    """
+    recording = batch.recordings[0]
+    found = InsEstimate.of(run, batch.time_of(0), origin=recording.model.origin)
+    heading = float(np.degrees(found.deviations[-1, PHI.start + 2]))
+    if heading > UNKNOWN:
+        warnings.warn(
+            f"the heading is known to {heading:.1f}° only at the end: it takes a magnetometer, position fixes "
+            "on a way that turns, or better gyros.",
+            stacklevel=4,
+        )
+    made_up = int(recording.gaps.sum())
+    if made_up:
+        warnings.warn(
+            f"{made_up} of {len(recording)} IMU samples are missing: the last one received was held, and the "
+            "filter widened its covariance there.",
+            stacklevel=4,
+        )
+    return found

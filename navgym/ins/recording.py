@@ -166,8 +166,8 @@ class InertialRecording(Frozen):
 
     @property
     def interval(self) -> float:
-        """Seconds between IMU samples."""
-        return float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
+        """Seconds between IMU samples, to nine digits, which whoever filters live can tell as well."""
+        return nine_digits(float((self.time[-1] - self.time[0]) / (len(self.time) - 1)))
 
     @property
     def step(self) -> float:
@@ -225,6 +225,11 @@ class InertialRecording(Frozen):
             )
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{path} is damaged: {error}. Save the recording again.") from error
+
+
+def nine_digits(value: float) -> float:
+    """`value` without what differences of times add to it."""
+    return float(f"{value:.9g}")
 
 
 _ARRAYS = ("time", "angle", "velocity", "truth", "regime", "imu_scale")

@@ -20,7 +20,7 @@ from navgym.ins.model import InsModel
 from navgym.ins.recording import InertialRecording
 
 AROUND = 2  # samples on each side of an event that its rate is the mean of
-EARLY = 1e-6  # s: rounding of times
+EARLY = 1e-6  # of a sample: rounding of times
 
 
 def write_tape(recording: InertialRecording, tape: NDArray[Any]) -> NDArray[Any]:
@@ -130,7 +130,8 @@ def look_back(angle, velocity, sample, end, h, events):
             for i in range(3):
                 for j in range(3):
                     event.dR[i, j] = product[i, j]
-        first, last = max(sample[e] - AROUND, 0), min(sample[e] + AROUND, len(angle))
+        # never beyond the step's end: a filter at sea knows no more
+        first, last = max(sample[e] - AROUND, 0), min(sample[e] + AROUND, end[e])
         for i in range(3):
             total = 0.0
             for k in range(first, last):

@@ -27,8 +27,10 @@ from navgym.inertial.mechanization import mechanise
 from navgym.ins import estimation as ins_estimation
 from navgym.ins.batch import InsBatch
 from navgym.ins.catalogue import CATALOGUE
+from navgym.ins.live import LiveINS
 from navgym.ins.model import AidingModel
 from navgym.ins.recording import Aiding
+from navgym.ins.settings import INSDropoutSettings
 from navgym.statespace.batch import Batch
 from navgym.statespace.filters import bank, combiner
 from tests.deck.lanes import outputs_for, prepare, rule_of, run_alignment
@@ -51,7 +53,7 @@ def numbers():
     found = {}
     for part in (
         filters, mixture, deck, failing, updating, mechanised, inertial, identification, environments, live_auv,
-        live_deck,
+        live_deck, live_ins,
     ):  # fmt: skip
         found |= {f"{part.__name__} {name}": plain(v) for name, v in part().items()}
     return found
@@ -188,8 +190,13 @@ def environments():
     for name, scenario, overrides in (
         ("AUVDropout", "auv/switch-D", {"steps": 20, "loss": 0.3}),
         ("DeckDeformation", "deck/paper", {"duration": 0.9}),
+        ("INSDropout", "ins/outage", {"duration": 3.2}),
     ):
-        own = {"reward": "relative"} if "auv" in scenario else {"warmup": 0.3}
+        own = (
+            {"reward": "relative"}
+            if "auv" in scenario
+            else {"warmup": 0.4 if "ins" in scenario else 0.3}
+        )
         options = {"scenario": scenario, "overrides": overrides, "decision_interval": 4} | own
         one = gymnasium.make(f"navgym/{name}-v0", **options)
         two = gymnasium.make_vec(f"navgym/{name}-v0", num_envs=2, **options)
@@ -200,7 +207,7 @@ def environments():
             found[f"{name} {face} reward"] = env.step(-action)[1]
             env.close()
         table = one.unwrapped.engine.table
-        found[f"{name} rows"] = np.zeros((1, 9))
+        found[f"{name} rows"] = np.zeros((1, len(one.unwrapped.engine.space)))
         fill_rows(found[f"{name} rows"], np.full((1, len(table)), -0.2), table)
     return found
 
@@ -224,6 +231,18 @@ def live_deck():
     seen = []
     for sample in zip(r.main_angle, r.main_velocity, r.sub_angle, r.sub_velocity, strict=True):
         lane.put(sample)
+        if lane.ready():
+            lane.step(look=True)
+            seen.append(np.concatenate([lane.observation[0], lane.answer(0)[0], lane.tally]))
+    return {"seen": seen}
+
+
+def live_ins():
+    """The INS's live lane."""
+    r = navgym.simulate("ins/nominal", seed=4, duration=1.2)
+    lane, seen = LiveINS(INSDropoutSettings(), {}, r.model, r.interval), []
+    for sample, time, _ in lane.samples(r):
+        lane.put(sample, None, time)
         if lane.ready():
             lane.step(look=True)
             seen.append(np.concatenate([lane.observation[0], lane.answer(0)[0], lane.tally]))

@@ -46,7 +46,7 @@ def test_every_rule_is_the_kalman_filter_where_it_is_off():
     np.testing.assert_allclose(
         estimated("ins_mcc", batch, kernel_width=50.0).states, plain, atol=1e-3
     )
-    np.testing.assert_allclose(estimated("ins_oracle", batch).states, plain, atol=1e-12)
+    np.testing.assert_allclose(estimated("oracle", batch).states, plain, atol=1e-12)
 
 
 def test_closed_on_a_tape_is_closed_at_the_imus_rate():

@@ -1,0 +1,36 @@
+"""The real tracks that INS filters are reported on: A-KIT with inertial data, or a simulated stand-in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from navgym.ins.akit import read_akit_ins
+from navgym.ins.recording import InertialRecording
+from navgym.ins.scenarios import CALM, CATALOGUE, InsRegime
+from navgym.ins.simulation import simulate
+
+STAND_IN_SECONDS = 390.0
+
+
+def recording(folder: Path | None, track: int, rate: float, seed: int) -> InertialRecording:
+    """A track under independent losses of its log and of fixes of 1 m, one per second.
+
+    Args:
+        folder: of the A-KIT data; None makes the simulated stand-in.
+        track: its number.
+        rate: share of lost measurements.
+        seed: of noise and losses.
+    """
+    if folder is None:
+        return stand_in(track, rate, seed)
+    return read_akit_ins(folder, track=track, loss=rate, seed=seed, position_noise=1.0)
+
+
+def stand_in(track: int, rate: float, seed: int) -> InertialRecording:
+    """A simulated mission for machines without real tracks; every track and seed has one of its own."""
+    lossy = InsRegime(CALM.name, dvl_loss=rate, fix_loss=rate)
+    scenario = CATALOGUE["nominal"].override(
+        duration=STAND_IN_SECONDS, regimes=(lossy,), fix_period=1.0, fix_noise=(1.0, 1.0, 1.0), magnetometer_period=0.0,
+        grade="tactical", heading_deviation=0.5,
+    )  # fmt: skip
+    return simulate(scenario, [1000 * track + seed])[0]
