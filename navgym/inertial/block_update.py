@@ -30,10 +30,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navgym.core.compile import part
+from navgym.inertial.blocks import ROWS, SENSORS
 from navgym.inertial.update import FLOOR, LOG_2PI
 
-ROWS = 3
-SENSORS = 8  # what one lane can have; each has a memory of its own
 SCALES = np.array([0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0])  # of a bank's R
 OUTLIER_RATE, OUTLIER = 0.05, 100.0  # each scale once more, so much larger
 STAY = 0.97  # probability that a scale stays from one measurement to the next

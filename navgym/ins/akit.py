@@ -14,8 +14,8 @@ from navgym.core.checks import Array, one_of, positive_int, within
 from navgym.core.seeds import split_of
 from navgym.core.tables import Table, read_table
 from navgym.ins.alignment import Clocks, Path, align
-from navgym.ins.error_state import STATES
 from navgym.ins.imu_grades import GRADES, ImuGrade
+from navgym.ins.layout import STATES
 from navgym.ins.model import AidingModel, InsModel
 from navgym.ins.recording import Aiding, InertialRecording
 from navgym.ins.simulation import add_imu_errors, local

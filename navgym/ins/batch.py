@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navgym.core.checks import Array
+from navgym.inertial.blocks import SENSORS
 from navgym.ins.error_state import MODEL
 from navgym.ins.filtering import NAVIGATION, TAPE
-from navgym.ins.measurements import EVENT, SENSOR, SENSORS
+from navgym.ins.measurements import EVENT, SENSOR
 from navgym.ins.recording import InertialRecording
 from navgym.ins.tape import pack_model, pack_sensors, write_tape
 

@@ -13,7 +13,7 @@ import numpy as np
 from navgym.core.checks import Array, one_of, within
 from navgym.core.notes import Notes
 from navgym.core.tables import Table, read_table, write_table
-from navgym.ins.error_state import STATES
+from navgym.ins.layout import STATES
 from navgym.ins.model import AidingModel, InsModel
 from navgym.ins.recording import Aiding, InertialRecording, nine_digits
 from navgym.ins.simulation import local

@@ -10,13 +10,15 @@ from numpy.typing import NDArray
 
 from navgym.core.checks import Array
 from navgym.envs.base import LaneEngine, Shelf
+from navgym.inertial.blocks import SENSORS
 from navgym.ins import filtering
 from navgym.ins import kernels as K
 from navgym.ins.batch import InsBatch
 from navgym.ins.catalogue import Ins
-from navgym.ins.error_state import COLUMNS, GATE, LANE, MODEL, STATES
+from navgym.ins.error_state import LANE, MODEL
 from navgym.ins.estimation import NO_GATE, OFF, columns_of, full_table, rule_of
-from navgym.ins.measurements import EVENT, SENSOR, SENSORS
+from navgym.ins.layout import COLUMNS, GATE, STATES
+from navgym.ins.measurements import EVENT, SENSOR
 from navgym.ins.recording import InertialRecording
 from navgym.ins.settings import INSDropoutSettings
 

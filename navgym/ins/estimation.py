@@ -15,7 +15,8 @@ from navgym.estimation import Estimate
 from navgym.ins import filtering as kernels
 from navgym.ins.batch import InsBatch
 from navgym.ins.catalogue import Ins
-from navgym.ins.error_state import BA, BG, COLUMNS, LANE, PHI, STATES, R, V
+from navgym.ins.error_state import LANE
+from navgym.ins.layout import BA, BG, COLUMNS, PHI, STATES, R, V
 from navgym.problem import Filter, Run
 
 RULES = ("trust", "student", "correntropy", "variational", "bank", "oracle")  # the kernel's numbers

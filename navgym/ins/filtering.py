@@ -28,7 +28,9 @@ from navgym.inertial.block_update import (
     weigh_variational,
 )
 from navgym.inertial.preintegration import INCREMENT
-from navgym.ins.error_state import (
+from navgym.ins.error_state import HELD, LANE, answer, navigate, spread_errors, take_over
+from navgym.ins.kinds import DVL_KIND, FIRST_ROW, INNOVATIONS, KINDS
+from navgym.ins.layout import (
     FILL,
     FILL_GROWTH,
     FILL_TURN,
@@ -36,27 +38,13 @@ from navgym.ins.error_state import (
     FORGET,
     FREEDOM,
     GATE,
-    HELD,
     IMU,
     ITERATIONS,
-    LANE,
     METER,
     STATES,
     WIDTH,
-    answer,
-    navigate,
-    spread_errors,
-    take_over,
 )
-from navgym.ins.measurements import (
-    DVL_KIND,
-    FIRST_ROW,
-    INNOVATIONS,
-    KINDS,
-    linearise,
-    radii,
-    scale_of,
-)
+from navgym.ins.measurements import linearise, radii, scale_of
 
 f8, i8 = np.float64, np.int64
 NAVIGATION = 9  # columns of the truth: position, velocity, roll, pitch, heading

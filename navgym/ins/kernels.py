@@ -25,8 +25,8 @@ from navgym.envs.base import (
 )
 from navgym.inertial.update import LOG_2PI
 from navgym.ins import spaces
-from navgym.ins.error_state import AT, COLUMNS, STATES
 from navgym.ins.filtering import advance
+from navgym.ins.layout import AT, COLUMNS, STATES
 
 PARAMETERS = len(spaces.KF)  # of the environment's space
 DECAYS = np.array([0.8, 0.97])  # per received step

@@ -20,8 +20,9 @@ from navgym.ins import filtering
 from navgym.ins import kernels as K
 from navgym.ins.catalogue import Ins
 from navgym.ins.engine import environment_rule, observation_names, station_of
-from navgym.ins.error_state import GATE, LANE, STATES
+from navgym.ins.error_state import LANE
 from navgym.ins.estimation import full_table, rule_of
+from navgym.ins.layout import GATE, STATES
 from navgym.ins.measurements import EVENT
 from navgym.ins.model import InsModel
 from navgym.ins.recording import nine_digits

@@ -4,53 +4,20 @@ Residuals are predicted − measured. A measurement that was valid `lag` s befor
 for its own moment, by the IMU's increments in between: v_e = v − C_e(Δv_e − b_a lag) − g lag, and an error
 φ turns all of the velocity change but gravity's, so that v_e + C_e Δv_e stands beside [φ×] (docs/science/ins.md).
 
-A new kind is a function here, a line in `KINDS`, `linearise` and `scale_of`.
+A new kind is a function here, a line in `navgym.ins.kinds`, `linearise` and `scale_of`.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from navgym.core.compile import part
-from navgym.inertial.block_update import SENSORS
 from navgym.inertial.ellipsoid import curvature, normal_gravity
 from navgym.inertial.rotation import exponential, multiply_transposed
-from navgym.ins.error_state import AT, DVL, FIX, MAGNETIC
-
-
-@dataclass(frozen=True)
-class Kind:
-    """A kind of aiding sensor.
-
-    Args:
-        name: what users call it.
-        rows: numbers per measurement.
-        unit: of each.
-        meaning: in a few words.
-    """
-
-    name: str
-    rows: int
-    unit: str
-    meaning: str
-
-
-KINDS = (
-    Kind("dvl", 3, "m/s", "velocity over ground in body axes, at the sensor"),
-    Kind("depth", 1, "m", "depth of the sensor below the recording's origin"),
-    Kind("fix", 3, "m", "position of the sensor, north, east, down of the recording's origin"),
-    Kind("magnetometer", 3, "µT", "magnetic field in body axes"),
-    Kind("heading", 1, "rad", "magnetic heading corrected for declination: true heading"),
-    Kind("water", 3, "m/s", "velocity through water in body axes, at the sensor"),
-)
-NAMES = tuple(k.name for k in KINDS)
-DVL_KIND, DEPTH_KIND, FIX_KIND, MAGNETOMETER_KIND, HEADING_KIND, WATER_KIND = range(len(KINDS))
-FIRST = tuple(int(n) for n in np.cumsum([0, *(k.rows for k in KINDS)]))  # innovation of each kind
-FIRST_ROW = np.array(FIRST[:-1])
-INNOVATIONS = FIRST[-1]
+from navgym.ins.kinds import DEPTH_KIND, DVL_KIND, FIX_KIND, HEADING_KIND, MAGNETOMETER_KIND
+from navgym.ins.layout import AT, DVL, FIX, MAGNETIC
 
 _f8, _i8 = np.float64, np.int64
 SENSOR = np.dtype([("kind", _i8), ("rows", _i8), ("variance", _f8, (3,)), ("lever", _f8, (3,))])
@@ -67,7 +34,6 @@ EVENT = np.dtype(
         ("time", _f8),
     ]
 )
-__all__ = ["EVENT", "KINDS", "NAMES", "SENSOR", "SENSORS", "Kind", "linearise", "scale_of"]
 
 
 @part

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from navgym.core.checks import one_of, positive_int, real_array, shaped, within
 from navgym.core.frozen import Frozen
-from navgym.inertial.block_update import SENSORS
+from navgym.inertial.blocks import SENSORS
 from navgym.ins.imu_grades import GRADES, ImuGrade
-from navgym.ins.measurements import KINDS, NAMES
+from navgym.ins.kinds import KINDS, NAMES
 
 LONGEST_LEVER = 100.0  # m: no vehicle is that long
 

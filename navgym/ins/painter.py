@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from navgym.envs.canvas import ESTIMATE, LOST, TRUTH, Canvas
-from navgym.ins.error_state import STATES
 from navgym.ins.kernels import VELOCITY_UNIT
+from navgym.ins.layout import STATES
 
 if TYPE_CHECKING:
     from navgym.ins.engine import InsEngine

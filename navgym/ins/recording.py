@@ -15,7 +15,7 @@ from navgym.core import storage as _storage
 from navgym.core.checks import Array, real_array, shaped
 from navgym.core.frozen import Frozen
 from navgym.inertial.earth import GRAVITY
-from navgym.ins.error_state import STATES
+from navgym.ins.layout import STATES
 from navgym.ins.model import AidingModel, InsModel
 
 IMPOSSIBLE = 1e9  # what no sensor measures, but a damaged file holds

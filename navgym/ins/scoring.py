@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from navgym.core.checks import Array
 from navgym.ins.batch import InsBatch
-from navgym.ins.error_state import PHI, STATES
-from navgym.ins.measurements import DVL_KIND, FIRST, FIX_KIND, INNOVATIONS, NAMES
+from navgym.ins.kinds import DVL_KIND, FIRST, FIX_KIND, INNOVATIONS, NAMES
+from navgym.ins.layout import PHI, STATES
 from navgym.ins.settings import SETTLED
 from navgym.metrics.consistency import nees as normalised
 from navgym.metrics.errors import run_rmse

@@ -19,8 +19,8 @@ from navgym.core.checks import Array
 from navgym.core.seeds import split_of
 from navgym.inertial.earth import radii_of_curvature
 from navgym.inertial.mechanization import increments
-from navgym.ins.error_state import ALPHA, BA, BG, PHI, STATES, C, M, R, S, V
 from navgym.ins.imu_grades import ImuGrade
+from navgym.ins.layout import ALPHA, BA, BG, PHI, STATES, C, M, R, S, V
 from navgym.ins.mission import sail
 from navgym.ins.model import InsModel
 from navgym.ins.recording import Aiding, InertialRecording

@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 
 from navgym.core.checks import Array
 from navgym.core.compile import kernel
+from navgym.inertial.blocks import SENSORS
 from navgym.inertial.earth import radii_of_curvature
 from navgym.inertial.preintegration import preintegrate
 from navgym.inertial.rotation import euler_matrix, exponential, multiply
-from navgym.ins.error_state import LAYOUT, MODEL
+from navgym.ins.error_state import MODEL
 from navgym.ins.filtering import NAVIGATION
-from navgym.ins.measurements import EVENT, KINDS, NAMES, SENSOR, SENSORS
+from navgym.ins.kinds import KINDS, NAMES
+from navgym.ins.layout import LAYOUT
+from navgym.ins.measurements import EVENT, SENSOR
 from navgym.ins.model import InsModel
 from navgym.ins.recording import InertialRecording
 

@@ -7,9 +7,10 @@ from navgym.core.compile import kernel
 from navgym.inertial.block_update import project_block
 from navgym.inertial.earth import radii_of_curvature
 from navgym.ins.batch import InsBatch
-from navgym.ins.error_state import AT, LANE, STATES, navigate, take_over
+from navgym.ins.error_state import LANE, navigate, take_over
 from navgym.ins.estimation import full_table, rule_of
 from navgym.ins.filtering import begin
+from navgym.ins.layout import AT, STATES
 from navgym.ins.measurements import linearise, radii
 from navgym.ins.scenarios import CATALOGUE as SCENARIOS
 from navgym.ins.simulation import simulate

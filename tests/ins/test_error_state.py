@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from navgym.ins.batch import InsBatch
-from navgym.ins.error_state import LAYOUT, STATES
+from navgym.ins.layout import LAYOUT, STATES
 from tests.ins.lanes import correct, lane_at_truth, look, made, metres_at, reckon
 
 BLOCKS = ("R", "V", "PHI", "BG", "BA")

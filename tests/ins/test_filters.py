@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 from navgym.inertial.mechanization import mechanise
 from navgym.ins.batch import InsBatch
 from navgym.ins.catalogue import CATALOGUE
-from navgym.ins.error_state import LAYOUT
 from navgym.ins.estimation import run
+from navgym.ins.layout import LAYOUT
 from navgym.ins.model import AidingModel
 from navgym.ins.recording import Aiding, InertialRecording
 from navgym.ins.simulation import simulate
