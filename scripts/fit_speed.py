@@ -8,6 +8,7 @@ were fitted, of those that were not, and of what the simulator makes of the fit 
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
 
@@ -33,6 +34,9 @@ def log_of(folder: Path, track: int) -> tuple[Array, Array]:
 
 def main() -> int:
     """Print the fit and what it is worth."""
+    argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    ).parse_args()
     folder = data_folder("akit")
     if folder is None:
         print("set NAVGYM_DATA to the folder that holds akit/", file=sys.stderr)

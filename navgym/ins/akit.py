@@ -23,7 +23,7 @@ from navgym.ins.simulation import add_imu_errors, local
 STREAM = 0xE1  # first word of an A-KIT INS recording's seed sequence
 # what is believed of the vehicle's IMU, whose data are quantised to 1e-4 rad/s and m/s²
 SNAPIR = ImuGrade(0.5, 0.02, 300.0, 30.0, 0.1, 30.0)
-START = {  # standard deviations of the start, which is taken from the reference
+START: dict[str, Any] = {  # standard deviations of the start, which is taken from the reference
     "position_deviation": 0.1, "velocity_deviation": 0.05, "tilt_deviation": math.radians(0.2),
     "heading_deviation": math.radians(0.5),
 }  # fmt: skip
@@ -97,8 +97,8 @@ def read_akit_ins(
         add_imu_errors(angle, velocity, grade, h, np.ones(len(clock)), rngs[0])
     time = time + found.dvl_delay - delay  # on the IMU's clock
     lost = rngs[1].random(len(time)) < loss
-    for at, length in outages:
-        lost |= (time >= begin + at) & (time < begin + at + length)
+    for after, length in outages:
+        lost |= (time >= begin + after) & (time < begin + after + length)
     sensors = {"dvl": AidingModel("dvl", DVL_NOISE), "depth": AidingModel("depth", depth_noise)}
     at = known.time - delay
     exact = known.states(known.time, arm)

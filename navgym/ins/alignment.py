@@ -156,7 +156,7 @@ def _velocities(path: Path, t: Array, body: Array) -> Callable[[float], tuple[Ar
         rate = attitude(t + delay, order=1)
         A = np.cross(rate[:, None, :], np.eye(3)).transpose(0, 2, 1).reshape(-1, 3)
         arm = np.linalg.solve(A.T @ A + (NOISE / FARTHEST) ** 2 * np.eye(3), A.T @ rest)
-        return arm, rest - A @ arm
+        return np.asarray(arm, dtype=np.float64), rest - A @ arm
 
     return left
 

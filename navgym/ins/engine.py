@@ -131,7 +131,7 @@ class InsEngine(LaneEngine):
         if start:
             rule = self._rule.copy()
             rule["interval"] = start
-            K.decide(
+            K.decide(  # type: ignore[call-arg]
                 lane, station, *self._world_of(), rule, GATE, self._report, self.table[:0],
                 self._actions[i : i + 1, :0], obs, np.zeros((1, self._outcomes.shape[1])),
                 self.trail[i : i + 1],

@@ -162,7 +162,7 @@ class LiveINS(LiveLane):
             return  # before the first whole sample nothing can be held
         self._count += 1
         self._pending.append((self._last if not whole else sample, not whole))
-        self._heard += [(self._count + offset, *rest) for offset, *rest in heard]
+        self._heard += [(self._count + o, which, z, at) for o, which, z, at in heard]
 
     def _event(self, name: str, value: Any, now: float | Decimal) -> tuple[int, int, Array, float]:
         """Samples since the current one (0 or less), sensor, numbers, and time of a measurement."""

@@ -132,6 +132,12 @@ class InsModel(Frozen):
                 raise TypeError(f"sensors[{name!r}] must be an AidingModel, got {sensor!r}.")
         self._freeze(arrays | {"sensors": sensors})
 
+    @property
+    def grade(self) -> ImuGrade:
+        """Grade of the IMU."""
+        assert isinstance(self.imu, ImuGrade)
+        return self.imu
+
     def replace(self, **fields: Any) -> InsModel:
         """The same model with some fields changed."""
         return dataclasses.replace(self, **fields)

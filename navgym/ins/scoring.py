@@ -120,7 +120,7 @@ def rows(batch: InsBatch) -> dict[str, Array]:
 def noises(batch: InsBatch) -> dict[str, Believed]:
     """What models believe of noise, by name; see `Problem.noises`."""
     model = batch.recordings[0].model
-    _, gyro, _, accelerometer, _, _ = model.imu.si
+    _, gyro, _, accelerometer, _, _ = model.grade.si
     found = {"imu": Believed((gyro, accelerometer), "imu_noise_scale")}
     scales = {
         "dvl": "dvl_noise_scale", "fix": "fix_noise_scale", "magnetometer": "magnetic_noise_scale",

@@ -12,7 +12,7 @@ from navgym.ins.recording import InertialRecording
 from navgym.ins.scenarios import InsScenario
 
 SETTLED = 60.0  # s, when scoring begins: before, heading and biases are still being found
-WARMUP = 300.0  # s, in which the biases of a MEMS IMU converge
+WARMUP = SETTLED  # s, before the first decision
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,7 @@ def _one(scenario: InsScenario, seed: int) -> InertialRecording:
     place = np.array([model.latitude, model.longitude, -track.depth])
     origin = place.copy()
     angle, velocity, places = (np.empty((T, 3)) for _ in range(3))
-    increments(track.velocity, track.attitude, h, place, angle, velocity, places)  # type: ignore[no-untyped-call]
+    increments(track.velocity, track.attitude, h, place, angle, velocity, places)
     position = local(places, origin)
     regime, scale = _regimes(scenario, rngs["order"])
     rate = angle / h

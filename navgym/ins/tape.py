@@ -152,11 +152,12 @@ def pack_model(model: InsModel, interval: float) -> NDArray[Any]:
     m["T"], m["origin"] = T, model.origin
     m["metres"] = meridian + height, (across + height) * math.cos(latitude)
     C = np.empty((3, 3))
-    attitude_of(*map(float, model.attitude), C)
+    roll, pitch, heading = (float(x) for x in model.attitude)
+    attitude_of(roll, pitch, heading, C)
     m["start"] = [
         model.latitude, model.longitude, model.height, *model.velocity, *C.ravel()
     ]  # fmt: skip
-    gyro, angle_walk, accelerometer, velocity_walk, drift, sway = model.imu.si
+    gyro, angle_walk, accelerometer, velocity_walk, drift, sway = model.grade.si
     m["gyro"], m["accelerometer"] = angle_walk**2, velocity_walk**2
     m["gyro_walk"], m["accelerometer_walk"] = drift**2, sway**2
     kinds = {s.kind for s in model.sensors.values()}

@@ -15,7 +15,7 @@ def told(recording: InertialRecording) -> list[tuple[str, str]]:
             usual = np.median(np.diff(sensor.time)) if len(sensor) > 1 else np.nan
             parts.append(f"{name} every {usual:.3g} s, {sensor.lost.mean():.1%} lost")
     rate = f"{1.0 / r.interval:.4g} samples/s, {r.gaps.mean():.1%} lost; {1.0 / r.step:.4g} filter steps/s"
-    imu = r.model.imu
+    imu = r.model.grade
     believed = (
         f"gyros {imu.gyro_bias:g} °/h and {imu.gyro_noise:g} °/√h, accelerometers "
         f"{imu.accelerometer_bias:g} µg and {imu.accelerometer_noise:g} µg/√Hz"
