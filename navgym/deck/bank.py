@@ -33,21 +33,21 @@ BRANCHES = 1 + len(LEFT)
 NEGLIGIBLE = 1e-3  # of a step's probability: branches below are left out
 
 # columns of the parameter row
-(
-    BANK_VELOCITY, BANK_PROCESS, STAY, SLAM_RATE, SLAM_SIZE, GLITCH_CHANCE, GLITCH_VELOCITY,
-    GLITCH_RATE, OWN, LEVER_SD,
-) = range(10)  # fmt: skip
 COLUMNS = (
-    "velocity_noise", "process_noise_scale", "mode_stay", "slam_rate", "slam_size", "glitch_chance",
-    "glitch_velocity", "glitch_rate", "own_channels", "lever_sd",
+    "velocity_noise", "process_noise_scale", "mode_stay", "slam_rate", "slam_size", "glitch_rate",
+    "glitch_velocity", "glitch_rate_size", "own_channels", "lever_sd", "kernel_width",
 )  # fmt: skip
+(
+    OF_VELOCITY, OF_PROCESS, STAY, SLAM_RATE, SLAM_SIZE, GLITCH_CHANCE, GLITCH_VELOCITY, GLITCH_RATE,
+    OWN, LEVER_SD, WIDTH,
+) = range(len(COLUMNS))  # fmt: skip
 
 
 @part
 def mix(lanes, count, stay):
     """Let every mode begin from what it may have come from; `forecast` is how likely it is then."""
     pool = lanes[count]
-    n = pool.x.shape[0] - 3
+    n = joint.AT.MEAN  # all but m
     leak = (1.0 - stay) / (count - 1) if count > 1 else 0.0
     for j in range(count):
         lane = lanes[j]
@@ -257,28 +257,17 @@ def configure(lanes, count, row):
     """Put a row of parameters in force."""
     for j in range(count):
         lane = lanes[j]
-        lane.row[VELOCITY] = row[BANK_VELOCITY]
-        lane.row[PROCESS] = row[BANK_PROCESS]
+        lane.row[VELOCITY] = row[OF_VELOCITY]
+        lane.row[PROCESS] = row[OF_PROCESS]
         for i in range(3):
             lane.spike[i] = row[GLITCH_VELOCITY] ** 2
             lane.spike[3 + i] = row[GLITCH_RATE] ** 2
 
 
-@kernel
-def step(lanes, models, kinds, tape, row, impulse, left, disturbance):
-    """One filter step of one recording's lanes.
-
-    Args:
-        lanes: (J + 1,) of either layout; the last is the pool.
-        models: (M,) records of `alignment_model.MODEL`.
-        kinds: (J, 2) kind of each mode, and which model is its flexure.
-        tape: (1,) the step's record.
-        row: (10,) parameters, in the order of `COLUMNS`.
-        impulse: (3,) known variance of jumps.
-        left: share of the step that those left.
-        disturbance: (6,) known variance that adds to R.
-    """
-    count, now = kinds.shape[0], tape[0]
+@part
+def step(lanes, models, kinds, now, row, impulse, left, disturbance):
+    """One filter step of one recording's lanes (J + 1,) on the tape's record `now`; see `run`."""
+    count = kinds.shape[0]
     dt = models[0].dt
     configure(lanes, count, row)
     mix(lanes, count, row[STAY] ** dt)
@@ -292,6 +281,11 @@ def step(lanes, models, kinds, tape, row, impulse, left, disturbance):
         joint.look(lane, model, now, row[OWN] > 0.0)
         for c in range(MEASUREMENTS):
             lane.R[c] += disturbance[c]
+        if row[WIDTH] < update.WIDTH_OFF:
+            update.expect(lane)
+            update.weigh(lane, row[WIDTH], 0, 0)
+            for c in range(MEASUREMENTS):
+                lane.R[c] /= lane.weight[c]
         wrong = row[GLITCH_CHANCE] if kinds[j, 0] == GLITCH else 0.0
         struck = 1.0 - math.exp(-row[SLAM_RATE] * dt)
         absorb(lane, model, kinds[j, 0], row[SLAM_SIZE], struck, wrong)
@@ -306,17 +300,18 @@ def step(lanes, models, kinds, tape, row, impulse, left, disturbance):
 
 @kernel
 def run(
-    lanes, models, kinds, tapes, table, interval, impulse, left, disturbance,
+    lanes, models, kinds, tapes, first, table, interval, impulse, left, disturbance,
     outputs, reports, covariances, chances, lagged,
 ):  # fmt: skip
     """Filter each recording's lanes to their `length` or the tape's end.
 
     Args:
         lanes: (N, J + 1) as `joint.begin` or an earlier run left them.
-        models: (N, M).
-        kinds: (J, 2), as `step` takes them.
+        models: (N, M) records of `alignment_model.MODEL`.
+        kinds: (J, 2) kind of each mode, and which model is its flexure.
         tapes: (N, K).
-        table: (N or 1, intervals, 10) parameters; row k // interval holds in step k, the last to the end.
+        first: the filter step that the tapes begin with.
+        table: (N or 1, intervals, 11) parameters; row k // interval holds in step k, the last to the end.
         interval: steps per row of `table`.
         impulse: (N, K, 3) known variance of jumps of θ̇, or (N, 0, 3).
         left: (N, K) shares of the step that those left, or (N, 0).
@@ -325,32 +320,29 @@ def run(
         reports: (N, K or 0) `alignment.REPORT`.
         covariances: (N, K or 0, 24, 24).
         chances: (N, K or 0, J) probabilities of the modes.
-        lagged: (N, K or 0, 2, 3) θ̇ one and two steps before, of the wide layout.
+        lagged: (N, K or 0, 2, 3) θ̇ one and two steps before.
     """
     nothing, no_disturbance = np.zeros(3), np.zeros(6)
     count = kinds.shape[0]
     for i in range(len(lanes)):
         own, pool = lanes[i], lanes[i, count]
-        for k in range(pool.k, min(pool.length, tapes.shape[1])):
-            row = table[min(i, table.shape[0] - 1), min(k // interval, table.shape[1] - 1)]
+        for k in range(pool.k - first, min(pool.length - first, tapes.shape[1])):
+            last = table.shape[1] - 1
+            row = table[min(i, table.shape[0] - 1), min((k + first) // interval, last)]
             known = impulse.shape[1] > 0
             step(
-                own, models[i], kinds, tapes[i, k : k + 1], row, impulse[i, k] if known else nothing,
+                own, models[i], kinds, tapes[i, k], row, impulse[i, k] if known else nothing,
                 left[i, k] if known else 0.0, disturbance[i, k] if known else no_disturbance,
             )  # fmt: skip
             for a in range(outputs.shape[2]):
                 outputs[i, k, a] = pool.x[a]
             if reports.shape[1] > 0:
                 alignment.write_report(pool, reports[i, k])
-            if covariances.shape[1] > 0:
-                for a in range(outputs.shape[2]):
-                    for b in range(outputs.shape[2]):
-                        covariances[i, k, a, b] = pool.P[a, b]
-            if chances.shape[1] > 0:
-                for j in range(count):
-                    chances[i, k, j] = lanes[i, j].chance
-            if lagged.shape[1] > 0 and pool.x.shape[0] > joint.STATES + 3:
-                for b in range(2):
-                    for a in range(3):
-                        lagged[i, k, b, a] = pool.x[joint.LAGGED + 3 * b + a]
-#1
+            for a in range(alignment.STATES if covariances.shape[1] > 0 else 0):
+                for b in range(alignment.STATES):
+                    covariances[i, k, a, b] = pool.P[a, b]
+            for j in range(count if chances.shape[1] > 0 else 0):
+                chances[i, k, j] = lanes[i, j].chance
+            for b in range(2 if lagged.shape[1] > 0 else 0):
+                for a in range(3):
+                    lagged[i, k, b, a] = pool.x[joint.AT.LAGGED + 3 * b + a]

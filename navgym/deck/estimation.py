@@ -97,7 +97,7 @@ def run(chosen: Filter, batch: DeckBatch, table: Array, interval: int, everythin
         log_likelihood=report["log_likelihood"],
         components=np.isfinite(report["innovation"]).sum(axis=-1),
         extras={name: report[name] for name in ("weights", "model_error", "innovation_variance")}
-        | {"flexures": found["flexures"]},
+        | {n: found[n] for n in ("flexures", "mode_weights", "theta_rate_lagged") if n in found},
     )
 
 

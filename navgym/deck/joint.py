@@ -6,10 +6,11 @@ has no memory, the model is exact for any flexure:
 
     m⁻ = [(F00 − 1) θ + F01 θ̇]/dt,   Q_mθ = q00/dt,   Q_mr = q01/dt,   Q_mm = q00/dt²,
 
-rate rows point at m, turned by C_m at mid-step, and their R is the gyros' noise alone. A wider layout
-has the error of the lever arm, constant, and θ̇ as it was one and two steps ago.
+rate rows point at m, turned by C_m at mid-step, and their R is the gyros' noise alone.
 
-Everything else is `navgym.deck.alignment`'s. m is the last state of both layouts.
+Two more blocks of states: the error δr of the lever arm, a constant that moves V_r by C_m (ω × δr), and
+θ̇ as it was one and two steps ago, which later measurements go on improving. Everything else is
+`navgym.deck.alignment`'s.
 """
 
 from __future__ import annotations
@@ -23,91 +24,79 @@ from numpy.typing import NDArray
 from navgym.core.checks import Array
 from navgym.core.compile import part
 from navgym.deck import alignment
-from navgym.deck.alignment import AT, COLUMNS, MEASUREMENTS, PROCESS, STATES, VELOCITY
+from navgym.deck.alignment import COLUMNS, MEASUREMENTS, PROCESS, VELOCITY
 from navgym.inertial import update
 from navgym.inertial.states import Layout, State
 from navgym.inertial.strapdown import matrix
 
-MEAN = State("MEAN", "m", "rad/s", "mean of θ̇ over the step")
-LAYOUT = Layout(*alignment.LAYOUT.states, MEAN)
-WIDE = Layout(
+LAYOUT = Layout(
     *alignment.LAYOUT.states,
     State("LEVER", "δr", "m", "error of the lever arm"),
     State("LAGGED", "θ̇₋₁", "rad/s", "rate of the dynamic deformation a step ago"),
     State("LAGGED2", "θ̇₋₂", "rad/s", "the same two steps ago"),
-    MEAN,
+    State("MEAN", "m", "rad/s", "mean of θ̇ over the step"),
 )
-LEVER, LAGGED, LAGGED2 = WIDE.first.LEVER, WIDE.first.LAGGED, WIDE.first.LAGGED2
+AT = LAYOUT.first
+STATES = LAYOUT.size
+LEVER, LAGGED = LAYOUT.slices[-4:-2]
+ROWS = (LAYOUT.indices("L", "DV", "VR"),) * 3 + (LAYOUT.indices("L", "PHI", "EPS", "MEAN"),) * 3
 
 SURE = 4e-6  # trace of P_l from which on l may turn predictions into the sub's own axes
 WALK = 1e-3  # m/s/√s, of δV, where lever errors are states: what a constant error leaves out
-ENTRY, ENTRY_SECONDS = 0.2, 10.0  # m/s and s: there V_r is trusted as little at first, and then more
+ENTRY, ENTRY_SECONDS = (
+    0.2,
+    10.0,
+)  # m/s and s: there V_r is trusted as little at first, and then more
 
 f8, i8 = np.float64, np.int64
 
 
-def lane_type(layout: Layout) -> np.dtype[Any]:
-    """Record of a lane of one of the layouts."""
-    rows = rows_of(layout)
-    return np.dtype(
-        [
-            *update.fields(layout.size, MEASUREMENTS, max(map(len, rows))),
-            ("row", f8, (len(COLUMNS),)),
-            ("model_error", f8, (3,)),
-            ("k", i8),
-            ("length", i8),
-            ("spike", f8, (MEASUREMENTS,)),  # variance of a wrong row beside R
-            ("chance", f8),  # of a mode, after the step
-            ("forecast", f8),  # of a mode, before it
-            # scratch
-            ("B", f8, (3, 6)),  # V_r = B (θ, θ̇) − const, at the last step
-            ("M", f8, (3, 6)),
-            ("C_s", f8, (3, 3)),
-            ("C_m", f8, (3, 3)),
-            ("E", f8, (3, 3)),  # what an error of the lever arm adds to V_r: C_m (ω × e_a)
-            ("A", f8, (3, 3)),  # C_im^is
-            ("G", f8, (3, 3)),  # (I + l×)⁻¹
-            ("own", f8, (2, 3)),
-            ("S0", f8, (MEASUREMENTS, MEASUREMENTS)),
-            ("told", f8, (MEASUREMENTS,)),  # log-likelihoods of branches
-            ("x_sum", f8, (layout.size,)),
-            ("P_sum", f8, (layout.size, layout.size)),
-        ]
-    )
+LANE = np.dtype(
+    [
+        *update.fields(STATES, MEASUREMENTS, max(map(len, ROWS))),
+        ("row", f8, (len(COLUMNS),)),
+        ("model_error", f8, (3,)),  # none: for reports
+        ("k", i8),
+        ("length", i8),
+        ("spike", f8, (MEASUREMENTS,)),  # variance of a wrong row beside R
+        ("chance", f8),  # of a mode, after the step
+        ("forecast", f8),  # of a mode, before it
+        # scratch
+        ("B", f8, (3, 6)),  # V_r = B (θ, θ̇) − const, at the last step
+        ("M", f8, (3, 6)),
+        ("C_s", f8, (3, 3)),
+        ("C_m", f8, (3, 3)),
+        ("E", f8, (3, 3)),  # what an error of the lever arm adds to V_r: C_m (ω × e_a)
+        ("A", f8, (3, 3)),  # C_im^is
+        ("G", f8, (3, 3)),  # (I + l×)⁻¹; before, by how much E has moved
+        ("own", f8, (2, 3)),
+        ("S0", f8, (MEASUREMENTS, MEASUREMENTS)),
+        ("told", f8, (MEASUREMENTS,)),  # of branches: log-likelihood, then probability
+        ("x_sum", f8, (STATES,)),
+        ("P_sum", f8, (STATES, STATES)),
+    ]
+)
 
 
-def rows_of(layout: Layout) -> tuple[tuple[int, ...], ...]:
-    """Which states the six rows touch."""
-    velocity = layout.indices("L", "DV", "VR")
-    return (velocity,) * 3 + (layout.indices("L", "PHI", "EPS", "MEAN"),) * 3
-
-
-LANE, WIDE_LANE = lane_type(LAYOUT), lane_type(WIDE)
-
-
-def begin(lanes: NDArray[Any], models: NDArray[Any], rows: Array, lever_sd: Array) -> None:
-    """Put lanes (N, J) of either layout at the start of recordings.
+def begin(lanes: NDArray[Any], models: NDArray[Any], lever_sd: Array) -> None:
+    """Put lanes (N, J) at the start of recordings.
 
     Args:
-        lanes: J lanes for each recording.
+        lanes: J for each recording.
         models: (N, J) records of `alignment_model.MODEL`, one per lane.
-        rows: (N, 4) in the order of `alignment.COLUMNS`.
-        lever_sd: (N,) m, standard deviation of the lever arm's error; used by the wide layout.
+        lever_sd: (N,) m, standard deviation of the lever arm's error along each axis; 0: there is none.
     """
     flat, each = lanes.reshape(-1), models.reshape(-1)
-    flat[...] = np.zeros((), lanes.dtype)
-    lanes["row"] = rows[:, None]
-    diagonal = np.arange(STATES)
-    flat["P"][:, diagonal, diagonal] = each["start"] ** 2
-    flat["B"][:, :, :3] = np.einsum("nij,nja->nia", _cross(each["omega"]), each["lever"])
-    flat["B"][:, :, 3:] = each["lever"]
+    flat[...] = np.zeros((), LANE)
+    lanes["row"] = alignment.OFF
+    first, lever = np.arange(alignment.STATES), list(LAYOUT.indices("LEVER"))
+    flat["P"][:, first, first] = each["start"] ** 2
+    lanes["P"][:, :, lever, lever] = lever_sd[:, None, None] ** 2
     flat["E"] = _cross(each["omega"])
+    flat["B"][:, :, :3] = flat["E"] @ each["lever"]
+    flat["B"][:, :, 3:] = each["lever"]
     flat["length"] = 2**62
-    wide = lanes.dtype == WIDE_LANE
-    if wide:
-        for i in range(3):
-            lanes["P"][..., LEVER + i, LEVER + i] = lever_sd[:, None] ** 2
-    update.touch(flat, rows_of(WIDE if wide else LAYOUT))
+    update.touch(flat, ROWS)
 
 
 def _cross(v: Array) -> Array:
@@ -121,33 +110,32 @@ def _cross(v: Array) -> Array:
 @part
 def remember(lane, model):
     """m⁻ and the lagged rates from θ and θ̇ as they still are."""
-    x, mean = lane.x, lane.x.shape[0] - 3
+    x = lane.x
     for a in range(3):
-        if mean > STATES:
-            x[LAGGED2 + a] = x[LAGGED + a]
-            x[LAGGED + a] = x[AT.RATE + a]
+        x[AT.LAGGED2 + a] = x[AT.LAGGED + a]
+        x[AT.LAGGED + a] = x[AT.RATE + a]
         F = model.transition
         moved = (F[a, 0, 0] - 1.0) * x[AT.THETA + a] + F[a, 0, 1] * x[AT.RATE + a]
-        x[mean + a] = moved / model.dt
+        x[AT.MEAN + a] = moved / model.dt
 
 
 @part
 def remember_rows(lane, model):
-    """The same of the rows of P, and what δr adds to V_r; `lane.G` holds by how much E has moved."""
-    P, n = lane.P, lane.x.shape[0]
-    mean = n - 3
+    """The same of the rows of P, and what δr adds to V_r as E moves by G."""
+    P = lane.P
     for a in range(3):
-        if mean > STATES:
-            for j in range(n):
-                P[LAGGED2 + a, j] = P[LAGGED + a, j]
-                P[LAGGED + a, j] = P[AT.RATE + a, j]
-            g0, g1, g2 = lane.G[a, 0], lane.G[a, 1], lane.G[a, 2]
-            for j in range(n):
-                P[AT.VR + a, j] += g0 * P[LEVER, j] + g1 * P[LEVER + 1, j] + g2 * P[LEVER + 2, j]
+        g0, g1, g2 = lane.G[a, 0], lane.G[a, 1], lane.G[a, 2]
         f00 = (model.transition[a, 0, 0] - 1.0) / model.dt
         f01 = model.transition[a, 0, 1] / model.dt
-        for j in range(n):
-            P[mean + a, j] = f00 * P[AT.THETA + a, j] + f01 * P[AT.RATE + a, j]
+        for j in range(STATES):
+            P[AT.LAGGED2 + a, j] = P[AT.LAGGED + a, j]
+            P[AT.LAGGED + a, j] = P[AT.RATE + a, j]
+        for j in range(STATES):
+            P[AT.VR + a, j] += (
+                g0 * P[AT.LEVER, j] + g1 * P[AT.LEVER + 1, j] + g2 * P[AT.LEVER + 2, j]
+            )
+        for j in range(STATES):
+            P[AT.MEAN + a, j] = f00 * P[AT.THETA + a, j] + f01 * P[AT.RATE + a, j]
 
 
 @part
@@ -167,17 +155,16 @@ def lever_moves(lane, tape):
 def push(lane, dt, a, q00, q01, q11):
     """P ← P + what drives θ and θ̇ of axis a with covariance q, V_r and m with them."""
     alignment.drive(lane, a, q00, q01, q11, True)
-    P, B, mean = lane.P, lane.B, lane.x.shape[0] - 3
-    h = 1.0 / dt
-    P[mean + a, mean + a] += q00 * h * h
-    P[mean + a, AT.THETA + a] += q00 * h
-    P[AT.THETA + a, mean + a] += q00 * h
-    P[mean + a, AT.RATE + a] += q01 * h
-    P[AT.RATE + a, mean + a] += q01 * h
+    P, B, h = lane.P, lane.B, 1.0 / dt
+    P[AT.MEAN + a, AT.MEAN + a] += q00 * h * h
+    P[AT.MEAN + a, AT.THETA + a] += q00 * h
+    P[AT.THETA + a, AT.MEAN + a] += q00 * h
+    P[AT.MEAN + a, AT.RATE + a] += q01 * h
+    P[AT.RATE + a, AT.MEAN + a] += q01 * h
     for i in range(3):
         q = (B[i, a] * q00 + B[i, 3 + a] * q01) * h
-        P[AT.VR + i, mean + a] += q
-        P[mean + a, AT.VR + i] += q
+        P[AT.VR + i, AT.MEAN + a] += q
+        P[AT.MEAN + a, AT.VR + i] += q
 
 
 @part
@@ -192,11 +179,10 @@ def predict(lane, model, tape):
     matrix(tape.q_mid, lane.C_s)
     alignment.lever_step(lane, model, tape)
     remember(lane, model)
-    if lane.x.shape[0] > STATES + 3:
-        lever_moves(lane, tape)
-        for i in range(3):
-            for a in range(3):
-                lane.x[AT.VR + i] += lane.G[i, a] * lane.x[LEVER + a]
+    lever_moves(lane, tape)
+    for i in range(3):
+        for a in range(3):
+            lane.x[AT.VR + i] += lane.G[i, a] * lane.x[AT.LEVER + a]
     alignment.move_state(lane, model, tape)
     for again in range(2):  # F P Fᵀ is F (F P)ᵀ
         if again:
@@ -208,7 +194,7 @@ def predict(lane, model, tape):
     for a in range(3):
         q = model.noise
         push(lane, model.dt, a, scale * q[a, 0, 0], scale * q[a, 0, 1], scale * q[a, 1, 1])
-    if lane.x.shape[0] > STATES + 3 and lane.P[LEVER, LEVER] > 0.0:
+    if lane.P[AT.LEVER, AT.LEVER] > 0.0:
         for i in range(3):
             lane.P[AT.DV + i, AT.DV + i] += WALK * WALK * model.dt
 
@@ -253,11 +239,11 @@ def foretell(lane, tape):
     z = h(x) says (I + l×)(V_s − δV) = (I − l×)(V_m + V_r), and the same of rates, so that
     V̂_s = δV + A (V_m + V_r) and ω̂_s = d + A (ω_m + C_m m) with d = ω̂_s × φ + C_s ε.
     """
-    x, A, mean = lane.x, lane.A, lane.x.shape[0] - 3
+    x, A = lane.x, lane.A
     for i in range(3):
         lane.column[i] = tape.w_m[i]
         for j in range(3):
-            lane.column[i] += lane.C_m[i, j] * x[mean + j]
+            lane.column[i] += lane.C_m[i, j] * x[AT.MEAN + j]
     for i in range(3):
         V, w = x[AT.DV + i], 0.0
         for j in range(3):
@@ -314,9 +300,9 @@ def look(lane, model, tape, own_channels):
     if own_channels and spread < SURE:
         linearize_own(lane, tape)
     else:
-        alignment.linearize(lane, tape, lane.x.shape[0] - 3)
+        alignment.linearize(lane, tape, AT.MEAN)
     velocity = lane.row[VELOCITY] ** 2
-    if lane.x.shape[0] > STATES + 3 and lane.P[LEVER, LEVER] > 0.0:
+    if lane.P[AT.LEVER, AT.LEVER] > 0.0:
         velocity += (ENTRY * math.exp(-lane.k * model.dt / ENTRY_SECONDS)) ** 2
     for i in range(3):
         lane.R[i] = velocity
