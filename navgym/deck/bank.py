@@ -94,8 +94,8 @@ def pool_up(lanes, count):
 def branch_likelihoods(lane, model, size, chance):
     """Log-likelihoods of no jump (0) and of a jump that left LEFT[b − 1] of the step, into `told`.
 
-    A jump J of axis a moves the rows by J (f p + s): p by m, and by θ in V_r; s by θ̇ in V_r. Returns
-    the largest.
+    A jump J of axis a moves row c by J u_c, rate rows through m and velocity rows through V_r, and adds
+    J² u uᵀ to S. Returns the largest.
     """
     update.innovate(lane)
     for c in range(MEASUREMENTS):
@@ -104,7 +104,6 @@ def branch_likelihoods(lane, model, size, chance):
     update.whiten(lane)
     lane.told[0] = math.log(1.0 - chance) + (0.0 if math.isnan(lane.nis) else lane.log_likelihood)
     top = lane.told[0]
-    p, s = lane.x_sum, lane.x_prior  # free until a branch is taken
     for b in range(LEFT.shape[0]):
         f = LEFT[b]
         for c in range(MEASUREMENTS):

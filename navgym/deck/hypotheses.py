@@ -48,7 +48,7 @@ def table_of(space: ParameterSpace, table: Array) -> Array:
 
 
 def begin(lanes: NDArray[Any], models: NDArray[Any], kinds: NDArray[Any], lever_sd: Array) -> None:
-    """Put lanes (N, J + 1) at the start: modes alike in probability, the pool as the first of them.
+    """Put lanes (N, J + 1) at the start: modes alike in probability, the pool their mixture.
 
     Args:
         lanes: of recordings.
@@ -59,6 +59,7 @@ def begin(lanes: NDArray[Any], models: NDArray[Any], kinds: NDArray[Any], lever_
     which = np.maximum(kinds[[*range(len(kinds)), 0], 1], 0)
     joint.begin(lanes, models[:, which], lever_sd)
     lanes["chance"][:, :-1] = 1.0 / len(kinds)
+    lanes["P"][:, -1] = lanes["P"][:, :-1].mean(axis=1)
 
 
 def estimate(
@@ -91,6 +92,8 @@ def estimate(
     noise = known_noise(batch) if known else (np.zeros((count, 0, 3)), np.zeros((count, 0)), np.zeros((count, 0, 6)))  # fmt: skip
     bank.run(lanes, models, kinds, batch.tapes, 0, rows, interval, *noise, *outputs.values())
     flexures: list[list[Any]] = [[] for _ in range(count)]
+    if known:
+        del outputs["mode_weights"]
     return outputs | {"diverged": lanes["diverged"][:, -1] > 0, "flexures": flexures}
 
 
