@@ -18,6 +18,7 @@ class Deck:
         method: how the flexure is identified on line (see `navgym.identification`); None: never.
         truth: whether the true flexure and the true noises are known.
         bank: whether several hypotheses run side by side.
+        joint: whether one runs with the bank's model of the mean rate.
         printed: whether weights, Q, covariance and increments are the paper's own.
         shrunk: whether what is identified is shrunk toward what was believed.
     """
@@ -25,6 +26,7 @@ class Deck:
     method: str | None = None
     truth: bool = False
     bank: bool = False
+    joint: bool = False
     printed: bool = False
     shrunk: bool = True
 

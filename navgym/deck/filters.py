@@ -55,7 +55,7 @@ def estimate(
     """
     count, steps = batch.tapes.shape
     option: Deck = chosen.option
-    if option.truth or option.bank:
+    if option.truth or option.bank or option.joint:
         return hypotheses.estimate(chosen, batch, table, interval, everything)
     rows = np.ascontiguousarray(full_table(chosen.space, table))
     if option.printed:

@@ -18,7 +18,7 @@ from navgym.problem import Filter
 
 MODES = ("calm", "rougher sea", "slam", "glitch")  # in the order of `extras["mode_weights"]`
 _KINDS = np.array([[bank.PLAIN, 0], [bank.PLAIN, 1], [bank.SLAM, 0], [bank.GLITCH, 0]])
-_KNOWN = np.array([[bank.PLAIN, bank.BY_TAPE]])
+_ONE = np.array([[bank.PLAIN, bank.BY_TAPE]])  # of the oracle, whose tape says which model holds
 # the rougher sea over the believed one: σ, correlation time, and λ/μ
 ROUGHER = (1.5, 0.6, 1.0)
 LAGS = 2  # steps back to which θ̇ is told once more
@@ -72,7 +72,7 @@ def estimate(
     count, steps = batch.tapes.shape
     rows = np.ascontiguousarray(table_of(chosen.space, table))
     known = chosen.option.truth
-    kinds = _KNOWN if known else _KINDS
+    kinds = _KINDS if chosen.option.bank else _ONE
     if known:
         batch, models = true_models(batch)
     else:
@@ -92,7 +92,7 @@ def estimate(
     noise = known_noise(batch) if known else (np.zeros((count, 0, 3)), np.zeros((count, 0)), np.zeros((count, 0, 6)))  # fmt: skip
     bank.run(lanes, models, kinds, batch.tapes, 0, rows, interval, *noise, *outputs.values())
     flexures: list[list[Any]] = [[] for _ in range(count)]
-    if known:
+    if not chosen.option.bank:
         del outputs["mode_weights"]
     return outputs | {"diverged": lanes["diverged"][:, -1] > 0, "flexures": flexures}
 
