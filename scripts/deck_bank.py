@@ -204,19 +204,25 @@ def compare(title: str, conditions: Mapping[str, Condition], options: Options) -
             means = " | ".join(f"{e[q].mean():.3f}" for q in QUANTITIES)
             gains = [(e["theta_rate"], base["theta_rate"]), (e["theta_rate"], other["theta_rate"]), (e["theta_ac"], base["theta_ac"])]  # fmt: skip
             told = " | ".join("–" if a is b else gain(a, b) for a, b in gains)
-            print(f"| {name} | {label} | {means} | {told} | {e['theta_rate'].max():.2f} |", flush=True)
+            print(
+                f"| {name} | {label} | {means} | {told} | {e['theta_rate'].max():.2f} |", flush=True
+            )
         found[name] = {k: {q: v.tolist() for q, v in e.items()} for k, e in each.items()}
     return found
 
 
 def lags(options: Options) -> Found:
     """θ̇ told one and two steps late, from the bank's own lagged states."""
-    print("\n## θ̇ with a lag\n\n| filter | at once | 50 ms late | 100 ms late | 50 ms over at once, % |")
+    print(
+        "\n## θ̇ with a lag\n\n| filter | at once | 50 ms late | 100 ms late | 50 ms over at once, % |"
+    )
     print("|---|---|---|---|---|")
     found = {}
     for name in ("deck_bank", "deck_bank_lever"):
         rows: list[Array] = []
-        for cases in Condition().parts(dataclasses.replace(options, runs=max(options.runs // 2, 2))):
+        for cases in Condition().parts(
+            dataclasses.replace(options, runs=max(options.runs // 2, 2))
+        ):
             for i in range(len(cases)):
                 one = cases.take([i]).batch
                 run = PROBLEM.run(name, one, everything=True)
@@ -253,7 +259,9 @@ def widths(options: Options) -> Found:
                     PROBLEM.run(f, cases.batch, {"kernel_width": width}).states
                     for f in (CATALOGUE["alignment_mcc"], joint)
                 ]
-                each = [deck_errors(cases.batch, s, attitude=False).norm["theta_rate"] for s in runs]
+                each = [
+                    deck_errors(cases.batch, s, attitude=False).norm["theta_rate"] for s in runs
+                ]
                 rows.setdefault(width, []).append((each[0], each[1]))
         for width, parts in rows.items():
             plain, own = (np.concatenate([p[i] for p in parts]) for i in range(2))
@@ -264,7 +272,9 @@ def widths(options: Options) -> Found:
 
 def nees(options: Options) -> Found:
     """Errors of θ̇ and of θ against what the filters say of them, per state."""
-    print("\n## Normalised errors squared, per state\n\n| sea | filter | θ̇ | θ |\n|---|---|---|---|")
+    print(
+        "\n## Normalised errors squared, per state\n\n| sea | filter | θ̇ | θ |\n|---|---|---|---|"
+    )
     found = {}
     for sea in ("calm", "lever", "switch-60"):
         condition = Condition() if sea == "switch-60" else SEAS[sea]
@@ -306,7 +316,9 @@ def main() -> None:
     }
     chosen = options.only or tuple(tables)
     found = {name: tables[name]() for name in chosen}
-    print(f"\n{options.runs} recordings of {options.split} seeds; {time.perf_counter() - began:.0f} s")
+    print(
+        f"\n{options.runs} recordings of {options.split} seeds; {time.perf_counter() - began:.0f} s"
+    )
     if options.out is not None:
         options.out.write_text(json.dumps(found))
 

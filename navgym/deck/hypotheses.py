@@ -17,10 +17,11 @@ from navgym.inertial.flexure import FlexureModel
 from navgym.problem import Filter
 
 MODES = ("calm", "rougher sea", "slam", "glitch")  # in the order of `extras["mode_weights"]`
-_KINDS = np.array([[bank.PLAIN, 0], [bank.PLAIN, 1], [bank.SLAM, 0], [bank.GLITCH, 0]])
+KINDS = np.array([[bank.PLAIN, 0], [bank.PLAIN, 1], [bank.SLAM, 0], [bank.GLITCH, 0]])
 _ONE = np.array([[bank.PLAIN, bank.BY_TAPE]])  # of the oracle, whose tape says which model holds
 # the rougher sea over the believed one: σ, correlation time, and λ/μ
 ROUGHER = (1.5, 0.6, 1.0)
+NOTHING_KNOWN = np.zeros((1, 0, 3)), np.zeros((1, 0)), np.zeros((1, 0, 6))
 LAGS = 2  # steps back to which θ̇ is told once more
 # where a filter does not expose a column: no event, one mode that stays
 OFF = np.array([0.2, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 50.0])
@@ -72,7 +73,7 @@ def estimate(
     count, steps = batch.tapes.shape
     rows = np.ascontiguousarray(table_of(chosen.space, table))
     known = chosen.option.truth
-    kinds = _KINDS if chosen.option.bank else _ONE
+    kinds = KINDS if chosen.option.bank else _ONE
     if known:
         batch, models = true_models(batch)
     else:
@@ -89,7 +90,7 @@ def estimate(
         "mode_weights": np.full((count, rest, len(kinds)), np.nan),
         "theta_rate_lagged": np.full((count, rest, LAGS, 3), np.nan),
     }
-    noise = known_noise(batch) if known else (np.zeros((count, 0, 3)), np.zeros((count, 0)), np.zeros((count, 0, 6)))  # fmt: skip
+    noise = known_noise(batch) if known else NOTHING_KNOWN
     bank.run(lanes, models, kinds, batch.tapes, 0, rows, interval, *noise, *outputs.values())
     flexures: list[list[Any]] = [[] for _ in range(count)]
     if not chosen.option.bank:

@@ -14,7 +14,7 @@ import numpy as np
 from navgym.core.compile import kernel, part
 from navgym.deck import alignment, spaces
 from navgym.deck.alignment import AT, MEASUREMENTS, STATES
-from navgym.deck.mechanization import disturb, mechanize_step
+from navgym.deck.mechanization import mechanize_next
 from navgym.envs.actions import bounded, foretold, log_square, place, set_parameters
 from navgym.envs.base import (
     FREEDOM,
@@ -273,11 +273,6 @@ def first_look(stations, rules, table, obs):
         observe(stations[i], rules[0], table, obs, i)
 
 
-# rows of what strapdown mechanisation carries from step to step
-LEVER, ATTITUDE_M, ATTITUDE_S, VELOCITY_M, VELOCITY_S = range(5)
-HISTORY = 2  # samples before a step that its mechanisation looks back on
-
-
 @part
 def rate_surprise(lane):
     """Sums over the used rate channels, each by itself: squared innovation over S, log S, count."""
@@ -317,12 +312,7 @@ def live(
     """
     nothing = np.zeros(MEASUREMENTS)
     model, tape = models[0], tapes[0]
-    mechanize_step(
-        samples[0], samples[1], samples[2], samples[3], filled, HISTORY,
-        samples.shape[1] - HISTORY, lever, model.interval, moving[LEVER], moving[ATTITUDE_M],
-        moving[ATTITUDE_S], moving[VELOCITY_M], moving[VELOCITY_S], tape,
-    )  # fmt: skip
-    disturb(tape, disturbance)
+    mechanize_next(samples, filled, lever, model.interval, moving, disturbance, tape)
     for i in range(2):
         filter_step(stations[i], lanes[i], model, tape, filter_rules[0], rules[0], nothing)
     for i in range(2):

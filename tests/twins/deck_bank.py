@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tests.twins import alignment as plain
-from tests.twins.alignment import DV, EPS, NABLA, PHI, RATE, THETA, V_R, attitude, cross, l_
+from tests.twins.alignment import DV, EPS, PHI, RATE, THETA, V_R, attitude, cross, l_
 
 LEVER, LAGGED, LAGGED2, MEAN = (slice(i, i + 3) for i in range(24, 36, 3))
 N = 36
