@@ -29,6 +29,7 @@ from navgym.inertial import update
 PLAIN, SLAM, GLITCH = range(3)
 BY_TAPE = -1  # flexure of a mode that goes by the tape's own number
 LEFT = np.array([1.0, 0.8, 0.6, 0.4, 0.2])  # shares of a step that a slam may leave
+FARTHEST = 1e6  # standard deviations that an innovation counts at most: numbers stay finite
 BRANCHES = 1 + len(LEFT)
 NEGLIGIBLE = 1e-3  # of a step's probability: branches below are left out
 
@@ -91,25 +92,23 @@ def pool_up(lanes, count):
 
 
 @part
-def branch_likelihoods(lane, model, size, chance):
-    """Log-likelihoods of no jump (0) and of a jump that left LEFT[b − 1] of the step, into `told`.
+def weigh_branches(lane, model, size, chance):
+    """Posterior probabilities of no jump (0) and of one that left LEFT[b − 1] of the step, into `told`.
 
     A jump J of axis a moves row c by J u_c, rate rows through m and velocity rows through V_r, and adds
-    J² u uᵀ to S. Returns the largest.
+    J² u uᵀ to S. Returns the log-likelihood of all.
     """
     update.innovate(lane)
     for c in range(MEASUREMENTS):
         for d in range(c + 1):
             lane.S0[c, d] = lane.S[c, d]
-    update.whiten(lane)
-    lane.told[0] = math.log(1.0 - chance) + (0.0 if math.isnan(lane.nis) else lane.log_likelihood)
-    top = lane.told[0]
-    for b in range(LEFT.shape[0]):
-        f = LEFT[b]
+    top, total = -math.inf, 0.0
+    for b in range(BRANCHES):
+        f = LEFT[b - 1] if b > 0 else 0.0
         for c in range(MEASUREMENTS):
             for d in range(c + 1):
                 lane.S[c, d] = lane.S0[c, d]
-        for a in range(3):
+        for a in range(3 if b > 0 else 0):
             for i in range(3):
                 u = 0.0
                 for j in range(3):
@@ -121,17 +120,9 @@ def branch_likelihoods(lane, model, size, chance):
                 for d in range(c + 1):
                     lane.S[c, d] += variance * lane.white[c] * lane.white[d]
         update.whiten(lane)
-        told = 0.0 if math.isnan(lane.nis) else lane.log_likelihood
-        lane.told[1 + b] = math.log(chance / LEFT.shape[0]) + told
-        top = max(top, lane.told[1 + b])
-    return top
-
-
-@part
-def weigh_branches(lane, model, size, chance):
-    """Posterior probabilities of the branches, into `told`; returns the log-likelihood of all."""
-    top = branch_likelihoods(lane, model, size, chance)
-    total = 0.0
+        prior = math.log(chance / LEFT.shape[0] if b > 0 else 1.0 - chance)
+        lane.told[b] = prior + (0.0 if math.isnan(lane.nis) else lane.log_likelihood)
+        top = max(top, lane.told[b])
     for b in range(BRANCHES):
         lane.told[b] = math.exp(lane.told[b] - top)
         total += lane.told[b]
@@ -175,15 +166,19 @@ def add_branch(lane, w, last):
 
 
 @part
-def absorb(lane, model, kind, size, chance, wrong):
+def absorb(lane, model, kind, size, chance, wrong, width):
     """The update of a mode: one branch, or where θ̇ may have jumped those that are not negligible."""
     likelihood, kept, last = 0.0, 1.0, 0
+    update.expect(lane)
+    update.bound(lane, FARTHEST)
+    update.weigh(lane, width, 0, 0)
+    for c in range(MEASUREMENTS):
+        lane.R[c] /= lane.weight[c]
     if kind == SLAM:
         likelihood, kept = weigh_branches(lane, model, size, chance), 0.0
         for b in range(BRANCHES):
             kept += lane.told[b]
             last = b if lane.told[b] > 0.0 else last
-    update.expect(lane)
     several = last > 0 and lane.told[last] < kept
     if several:
         keep_prior(lane)
@@ -263,40 +258,6 @@ def configure(lanes, count, row):
             lane.spike[3 + i] = row[GLITCH_RATE] ** 2
 
 
-@part
-def step(lanes, models, kinds, now, row, impulse, left, disturbance):
-    """One filter step of one recording's lanes (J + 1,) on the tape's record `now`; see `run`."""
-    count = kinds.shape[0]
-    dt = models[0].dt
-    configure(lanes, count, row)
-    mix(lanes, count, row[STAY] ** dt)
-    for j in range(count):
-        lane = lanes[j]
-        model = models[now.model if kinds[j, 1] == BY_TAPE else kinds[j, 1]]
-        joint.predict(lane, model, now)
-        for a in range(3):
-            if impulse[a] > 0.0:
-                joint.jump(lane, dt, a, impulse[a], left)
-        joint.look(lane, model, now, row[OWN] > 0.0)
-        for c in range(MEASUREMENTS):
-            lane.R[c] += disturbance[c]
-        if row[WIDTH] < update.WIDTH_OFF:
-            update.expect(lane)
-            update.weigh(lane, row[WIDTH], 0, 0)
-            for c in range(MEASUREMENTS):
-                lane.R[c] /= lane.weight[c]
-        wrong = row[GLITCH_CHANCE] if kinds[j, 0] == GLITCH else 0.0
-        struck = 1.0 - math.exp(-row[SLAM_RATE] * dt)
-        absorb(lane, model, kinds[j, 0], row[SLAM_SIZE], struck, wrong)
-        lane.k += 1
-    pool = lanes[count]
-    weigh_modes(lanes, count)
-    pool_up(lanes, count)
-    tell(lanes, count)
-    update.check(pool)
-    pool.k += 1
-
-
 @kernel
 def run(
     lanes, models, kinds, tapes, first, table, interval, impulse, left, disturbance,
@@ -321,18 +282,35 @@ def run(
         chances: (N, K or 0, J) probabilities of the modes.
         lagged: (N, K or 0, 2, 3) θ̇ one and two steps before.
     """
-    nothing, no_disturbance = np.zeros(3), np.zeros(6)
-    count = kinds.shape[0]
+    nothing, none = np.zeros(3), np.zeros(MEASUREMENTS)
+    count, known = kinds.shape[0], impulse.shape[1] > 0
     for i in range(len(lanes)):
         own, pool = lanes[i], lanes[i, count]
         for k in range(pool.k - first, min(pool.length - first, tapes.shape[1])):
             last = table.shape[1] - 1
             row = table[min(i, table.shape[0] - 1), min((k + first) // interval, last)]
-            known = impulse.shape[1] > 0
-            step(
-                own, models[i], kinds, tapes[i, k], row, impulse[i, k] if known else nothing,
-                left[i, k] if known else 0.0, disturbance[i, k] if known else no_disturbance,
-            )  # fmt: skip
+            tape = tapes[i, k]
+            jump, extra = (impulse[i, k], disturbance[i, k]) if known else (nothing, none)
+            share = left[i, k] if known else 0.0
+            dt = models[i, 0].dt
+            configure(own, count, row)
+            mix(own, count, row[STAY] ** dt)
+            struck = 1.0 - math.exp(-row[SLAM_RATE] * dt)
+            for j in range(count):
+                lane, kind = own[j], kinds[j, 0]
+                model = models[i, tape.model if kinds[j, 1] == BY_TAPE else kinds[j, 1]]
+                joint.predict(lane, model, tape, jump, share)
+                joint.look(lane, model, tape, row[OWN] > 0.0)
+                for c in range(MEASUREMENTS):
+                    lane.R[c] += extra[c]
+                wrong = row[GLITCH_CHANCE] if kind == GLITCH else 0.0
+                absorb(lane, model, kind, row[SLAM_SIZE], struck, wrong, row[WIDTH])
+                lane.k += 1
+            weigh_modes(own, count)
+            pool_up(own, count)
+            tell(own, count)
+            update.check(pool)
+            pool.k += 1
             for a in range(outputs.shape[2]):
                 outputs[i, k, a] = pool.x[a]
             if reports.shape[1] > 0:
@@ -341,7 +319,7 @@ def run(
                 for b in range(alignment.STATES):
                     covariances[i, k, a, b] = pool.P[a, b]
             for j in range(count if chances.shape[1] > 0 else 0):
-                chances[i, k, j] = lanes[i, j].chance
+                chances[i, k, j] = own[j].chance
             for b in range(2 if lagged.shape[1] > 0 else 0):
                 for a in range(3):
                     lagged[i, k, b, a] = pool.x[joint.AT.LAGGED + 3 * b + a]

@@ -174,8 +174,8 @@ def jump(lane, dt, a, variance, left):
 
 
 @part
-def predict(lane, model, tape):
-    """x⁻ and P⁻ with the flexure's noise, but no jump."""
+def predict(lane, model, tape, impulse, left):
+    """x⁻ and P⁻; known jumps of θ̇ of variance `impulse` (3,) left a share `left` of the step."""
     matrix(tape.q_mid, lane.C_s)
     alignment.lever_step(lane, model, tape)
     remember(lane, model)
@@ -190,10 +190,11 @@ def predict(lane, model, tape):
         remember_rows(lane, model)
         alignment.move_rows(lane, model, tape)
     alignment.add_sensor_noise(lane, model, tape)
-    scale = lane.row[PROCESS]
+    scale, still = lane.row[PROCESS], left * model.dt
     for a in range(3):
-        q = model.noise
-        push(lane, model.dt, a, scale * q[a, 0, 0], scale * q[a, 0, 1], scale * q[a, 1, 1])
+        q00 = scale * model.noise[a, 0, 0] + impulse[a] * still * still
+        q01 = scale * model.noise[a, 0, 1] + impulse[a] * still
+        push(lane, model.dt, a, q00, q01, scale * model.noise[a, 1, 1] + impulse[a])
     if lane.P[AT.LEVER, AT.LEVER] > 0.0:
         for i in range(3):
             lane.P[AT.DV + i, AT.DV + i] += WALK * WALK * model.dt

@@ -38,6 +38,7 @@ from navgym.core.health import NUMERICAL, SPIKE, settle, watch_power
 WIDTH_OFF = 50.0 - 1e-9  # a kernel of this width or more is a Kalman filter; 50, to rounding
 FLOOR = 1e-12  # of a correntropy weight: R/C stays finite
 LOG_2PI = math.log(2.0 * math.pi)
+BEYOND = 10.0  # of a wrong row's standard deviations: farther off it tells nothing at all
 
 _f8, _i8 = np.float64, np.int64
 RULE = [  # fields of a record that says how `robust` updates
@@ -307,6 +308,14 @@ def correct(lane, printed_covariance):
 
 
 @part
+def bound(lane, limit):
+    """Cut innovations beyond `limit` standard deviations there, so that likelihoods stay numbers."""
+    for c in range(lane.innovation.shape[0]):
+        most = limit * math.sqrt(lane.variance[c])
+        lane.innovation[c] = min(max(lane.innovation[c], -most), most)
+
+
+@part
 def mixture(lane, chance):
     """x and P by the used rows in turn, each wrong with probability `chance`; `expect` comes first.
 
@@ -315,6 +324,7 @@ def mixture(lane, chance):
 
         x += P Hᵀ (w0/S0 + w1/S1) e,   P −= P Hᵀ H P [w0/S0 + w1/S1 − w0 w1 (1/S0 − 1/S1)² e²].
 
+    A row beyond `BEYOND` deviations of S1 is another kind of wrong, and moves nothing where it is wrong.
     Writes the log-likelihood of the rows, their NIS under the mixture's variance, and as `weight`
     w0, the probability that a row is right. With `chance` 0 it is a Kalman filter's update.
     """
@@ -339,6 +349,8 @@ def mixture(lane, chance):
             top = max(right, wrong)
             told = top + math.log(math.exp(right - top) + math.exp(wrong - top))
             w0, w1 = math.exp(right - told), math.exp(wrong - told)
+            if e * e * wide > BEYOND * BEYOND:
+                wide = 0.0
             shrink = w0 * gain + w1 * wide - w0 * w1 * ((gain - wide) * e) ** 2
             gain = w0 * gain + w1 * wide
             lane.weight[c] = w0

@@ -116,6 +116,8 @@ def glitches(x, P, nu, H, R, rate, spike):
         row, moved = h[None], e - h @ (x - start)
         pair = [update(x, P, np.array([moved]), row, np.array([v])) for v in (r, r + s)]
         odds = np.log([1.0 - rate, rate]) + [p[2] for p in pair]
+        if pair[1][3] > 100.0:  # beyond ten deviations even of what is wrong
+            pair[1] = x, P
         told = np.logaddexp(*odds)
         nis += moved**2 / (h @ P @ h + r + rate * s)
         x, P = collapsed(np.exp(odds - told), [p[0] for p in pair], [p[1] for p in pair])
@@ -162,7 +164,7 @@ def bank(recording, tape, kinds, beliefs, flexures, impulse=None, left=None, dis
         sd = np.concatenate([first, np.repeat(beliefs.lever_sd, 3), np.zeros(9)])
         modes.append((np.zeros(N), np.diag(sd**2)))
     mu = np.full(J, 1.0 / J)
-    stay = beliefs.mode_stay**dt
+    stay = beliefs.mode_stay**dt if J > 1 else 1.0
     chain = np.full((J, J), (1.0 - stay) / max(J - 1, 1))
     np.fill_diagonal(chain, stay)
     spike = np.repeat([beliefs.glitch_velocity**2, beliefs.glitch_rate_size**2], 3)
