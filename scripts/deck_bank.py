@@ -52,7 +52,6 @@ from navgym.tuning.cases import Cases
 QUANTITIES = ("theta_rate", "theta_ac", "theta", "attitude")
 CHUNK = 10  # recordings in memory at a time
 START = 1200  # filter steps that are not scored
-LEVER = {"velocity_noise": 0.002, "lever_sd": 0.1}
 Found = dict[str, Any]
 
 
@@ -144,14 +143,17 @@ SEAS = {
 }  # fmt: skip
 
 
+_OTHERS: dict[str, dict[str, dict[str, Array]]] = {}
+
+
 def errors(cases: Cases, states: Array) -> dict[str, Array]:
     """Norms by quantity, (N,) each."""
     norm = deck_errors(cases.batch, states).norm
     return {q: norm[q] for q in QUANTITIES}
 
 
-def contenders(condition: Condition, cases: Cases) -> dict[str, Callable[[], Array]]:
-    """Who runs on a condition: label to states (N, K, 24)."""
+def contenders(condition: Condition, cases: Cases, known: bool) -> dict[str, Callable[[], Array]]:
+    """Who runs on a condition: label to states (N, K, 24); those who are told nothing unless `known`."""
 
     def run(name: str | Filter, parameters: Any = None, interval: int | None = None) -> Array:
         return PROBLEM.run(name, cases.batch, parameters, interval).states
@@ -160,10 +162,13 @@ def contenders(condition: Condition, cases: Cases) -> dict[str, Callable[[], Arr
     found = {
         "deck_bank": lambda: run("deck_bank", told),
         "deck_bank_lever": lambda: run("deck_bank_lever", told),
-        "alignment": lambda: run("alignment"),
-        "oracle": lambda: run("oracle"),
     }
-    if condition.best:
+    if known:
+        return found
+    found["oracle"] = lambda: run("oracle")
+    if not condition.best:
+        found["alignment"] = lambda: run("alignment")
+    else:
         width = find_scenario(condition.scenario).reference
         found["fixed"] = lambda: run("alignment_mcc", dict(width))
         policy = choosing("policy", Learnt(agents.shipped("deck")), cases)
@@ -173,15 +178,19 @@ def contenders(condition: Condition, cases: Cases) -> dict[str, Callable[[], Arr
 
 
 def measured(condition: Condition, options: Options) -> dict[str, dict[str, Array]]:
-    """Errors (N,) by contender and quantity."""
+    """Errors (N,) by contender and quantity; of those who are told nothing, only once."""
+    where = f"{condition.scenario}, {condition.overrides}"
+    others = _OTHERS.get(where, {})
     parts: dict[str, list[dict[str, Array]]] = {}
     for cases in condition.parts(options):
-        for label, states in contenders(condition, cases).items():
+        for label, states in contenders(condition, cases, bool(others)).items():
             parts.setdefault(label, []).append(errors(cases, states()))
-    return {
+    found = {
         label: {q: np.concatenate([p[q] for p in each]) for q in QUANTITIES}
         for label, each in parts.items()
     }
+    _OTHERS[where] = others or {k: v for k, v in found.items() if not k.startswith("deck_bank")}
+    return found | _OTHERS[where]
 
 
 def gain(own: Array, base: Array) -> str:

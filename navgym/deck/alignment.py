@@ -199,14 +199,13 @@ def add_sensor_noise(lane, model, tape):
 
 
 @part
-def add_noise(lane, model, tape, rule, impulse):
+def add_noise(lane, model, tape, rule):
     """P ← P + Q; Q with the cross block of V_r and θ̇, since w_f drives both (eq. 77)."""
     scale = lane.row[PROCESS]
     add_sensor_noise(lane, model, tape)
     for a in range(3):
         q00, q01 = scale * model.noise[a, 0, 0], scale * model.noise[a, 0, 1]
-        q11 = scale * model.noise[a, 1, 1] + impulse[a]
-        drive(lane, a, q00, q01, q11, not rule.no_cross)
+        drive(lane, a, q00, q01, scale * model.noise[a, 1, 1], not rule.no_cross)
 
 
 @part
@@ -305,21 +304,21 @@ def predict_error(lane, model):
 
 
 @part
-def step(lane, model, tape, rule, impulse, disturbance):
-    """One filter step on a tape's record; the truth of the oracle adds to Q and R."""
+def step(lane, model, tape, rule):
+    """One filter step on a tape's record."""
     matrix(tape.q_mid, lane.C_s)
     lever_step(lane, model, tape)
     move_state(lane, model, tape)
     move_rows(lane, model, tape)
     update.transpose(lane)
     move_rows(lane, model, tape)
-    add_noise(lane, model, tape, rule, impulse)
+    add_noise(lane, model, tape, rule)
     linearize(lane, tape, AT.RATE)
     scale = lane.row[PROCESS]
     for i in range(3):
-        lane.R[i] = lane.row[VELOCITY] ** 2 + disturbance[i]
+        lane.R[i] = lane.row[VELOCITY] ** 2
         # a mean rate over the step measures the rate at its end: the difference has variance q dt/3
-        lane.R[3 + i] = model.rate + scale * model.density[i] * model.dt / 3.0 + disturbance[3 + i]
+        lane.R[3 + i] = model.rate + scale * model.density[i] * model.dt / 3.0
         lane.used[i] = 1
         lane.used[3 + i] = 1 if tape.gap == 0 else 0
     if rule.judged:
@@ -356,8 +355,6 @@ def run(
     rules,
     table,
     interval,
-    impulse,
-    disturbance,
     outputs,
     reports,
     covariances,
@@ -371,14 +368,11 @@ def run(
         rules: (1,) RULE.
         table: (N or 1, intervals, 4) parameters; row k // interval holds in step k, the last to the end.
         interval: steps per row of `table`.
-        impulse: (N, K, 3) variance to add to θ̇, or (N, 0, 3).
-        disturbance: (N, K, 6) variance to add to R, or (N, 0, 6).
         outputs: (N, K, 24) states.
         reports: (N, K or 0) REPORT.
         covariances: (N, K or 0, 24, 24).
     """
     rule = rules[0]
-    no_impulse, no_disturbance = np.zeros(3), np.zeros(6)
     for i in range(len(lanes)):
         lane = lanes[i]
         for k in range(lane.k, min(lane.length, tapes.shape[1])):
@@ -386,9 +380,7 @@ def run(
             for p in range(table.shape[2]):
                 lane.row[p] = table[min(i, table.shape[0] - 1), row, p]
             tape = tapes[i, k]
-            jump = impulse[i, k] if impulse.shape[1] > 0 else no_impulse
-            extra = disturbance[i, k] if disturbance.shape[1] > 0 else no_disturbance
-            step(lane, models[i, tape.model], tape, rule, jump, extra)
+            step(lane, models[i, tape.model], tape, rule)
             for a in range(STATES):
                 outputs[i, k, a] = lane.x[a]
             if reports.shape[1] > 0:

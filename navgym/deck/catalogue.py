@@ -35,7 +35,7 @@ _ALL = (
     Filter("alignment", "24-state deck filter, the flexure as believed: an extended Kalman filter", spaces.ALIGNMENT, "deck", Deck()),
     Filter("alignment_mcc", "the same, robust by the correntropy criterion", spaces.ALIGNMENT_MCC, "deck", Deck()),
     Filter("deck_bank", "calm, rougher sea, slam and glitch by four filters and their probabilities: no width to choose", spaces.DECK_BANK, "deck", Deck(bank=True)),
-    Filter("deck_bank_lever", "the same with the lever arm's error among the states, so that velocities may be trusted", spaces.DECK_BANK_LEVER, "deck", Deck(bank=True)),
+    Filter("deck_bank_lever", "deck_bank with the lever arm's error among the states, so that velocities may be trusted", spaces.DECK_BANK_LEVER, "deck", Deck(bank=True)),
     Filter("idam", "flexure identified on line by an RVM, correntropy, model prediction on request: IDAM, corrected", spaces.IDAM, "deck", Deck("rvm")),
     Filter("idam_printed", "IDAM as printed: body-frame increments, weights judged by R", spaces.IDAM_PRINTED, "deck", Deck("rvm", printed=True)),
     Filter("svram", "flexure identified by support vector regression", spaces.IDENTIFIED, "deck", Deck("svr")),

@@ -64,14 +64,7 @@ def estimate(
         models = np.stack([alignment_model.pack(r) for r in batch.recordings])
     lanes = np.zeros(count, kernels.LANE)
     kernels.begin(lanes, models, rows[:, 0])
-    world = (
-        batch.tapes,
-        rule_of(option, everything),
-        rows,
-        interval,
-        np.zeros((count, 0, 3)),
-        np.zeros((count, 0, 6)),
-    )
+    world = (batch.tapes, rule_of(option, everything), rows, interval)
     rest = steps if everything else 0
     outputs = {
         "states": np.full((count, steps, kernels.STATES), np.nan),

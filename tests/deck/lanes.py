@@ -49,7 +49,7 @@ def named(states, report, covariances):
 
 
 def run_alignment(
-    recordings, rule=None, flexures=None, impulse=None, disturbance=None, everything=True,
+    recordings, rule=None, flexures=None, everything=True,
     change=None, **parameters,
 ):  # fmt: skip
     """Run all recordings; the named outputs (N, K, ...) and `lanes`, `tapes`.
@@ -63,11 +63,8 @@ def run_alignment(
     lanes, models, tapes, row = prepare(recordings, flexures, **parameters)
     if change is not None:
         change(tapes)
-    count = len(recordings)
-    impulse = np.zeros((count, 0, 3)) if impulse is None else impulse
-    disturbance = np.zeros((count, 0, 6)) if disturbance is None else disturbance
     out = outputs_for(tapes, everything)
-    kernels.run(lanes, models, tapes, rule_of(**(rule or {})), row, 1, impulse, disturbance, *out)
+    kernels.run(lanes, models, tapes, rule_of(**(rule or {})), row, 1, *out)
     return named(*out) | {"lanes": lanes, "tapes": tapes}
 
 

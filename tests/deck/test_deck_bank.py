@@ -52,12 +52,15 @@ def rate_errors(batch, rates, lag=0):
 def agree(found, wanted, tolerance=1e-6):
     """A run's first recording does as the twin does, in units of standard deviations."""
     sd = np.sqrt(np.diagonal(wanted["covariances"], axis1=1, axis2=2))[:, :24]
-    P = wanted["covariances"][:, :24, :24]
-    assert (np.abs(found["states"][0] - wanted["states"][:, :24]) / sd).max() < tolerance
-    error = np.abs(found["covariances"][0] - P) / (sd[:, :, None] * sd[:, None, :])
+    P, n = wanted["covariances"][:, :24, :24], len(sd)
+    found = {
+        name: found[name][0][:n] for name in ("states", "covariances", "nis", "log_likelihood")
+    }
+    assert (np.abs(found["states"] - wanted["states"][:, :24]) / sd).max() < tolerance
+    error = np.abs(found["covariances"] - P) / (sd[:, :, None] * sd[:, None, :])
     assert error.max() < tolerance
-    np.testing.assert_allclose(found["nis"][0], wanted["nis"], rtol=tolerance)
-    np.testing.assert_allclose(found["log_likelihood"][0], wanted["log_likelihood"], atol=1e-5)
+    np.testing.assert_allclose(found["nis"], wanted["nis"], rtol=tolerance)
+    np.testing.assert_allclose(found["log_likelihood"], wanted["log_likelihood"], atol=1e-5)
 
 
 # --- the kernel and its twin ----------------------------------------------------------------------
@@ -79,16 +82,19 @@ def test_the_kernel_agrees_with_its_twin(case, short):
     found = run_bank([short], **columns)
     flexures = hypotheses.flexures_of(short.model)
     told = {"process" if n == "process_noise_scale" else n: v for n, v in columns.items()}
+    steps = short.steps if case == "defaults" else 50
     wanted = twin.bank(
-        short, found["tapes"][0], MODES, twin.Beliefs(**told), lambda _, j: flexures[int(j == 1)]
-    )
+        short, found["tapes"][0][:steps], MODES, twin.Beliefs(**told),
+        lambda _, j: flexures[int(j == 1)],
+    )  # fmt: skip
     agree(found, wanted)
-    np.testing.assert_allclose(found["mode_weights"][0], wanted["mode_weights"], atol=1e-6)
+    weights = found["mode_weights"][0]
+    np.testing.assert_allclose(weights[:steps], wanted["mode_weights"], atol=1e-6)
     sd = np.sqrt(np.diagonal(wanted["covariances"], axis1=1, axis2=2))[2:, 27:33]
-    late = found["lagged"][0].reshape(-1, 6)[2:]
+    late = found["lagged"][0].reshape(-1, 6)[2:steps]
     assert (np.abs(late - wanted["states"][2:, 27:33]) / sd).max() < 1e-6
     if case == "defaults":  # every mode has had its turn
-        assert (found["mode_weights"][0].max(axis=0) > 0.8).all()
+        assert (weights.max(axis=0) > 0.8).all()
 
 
 def test_the_oracle_agrees_with_its_twin(short):
@@ -251,7 +257,20 @@ def test_a_step_later_it_knows_the_rate_better(sea, found):
     )
     assert one < 0.87 * at_once
     assert two < 1.01 * one
-    np.testing.assert_allclose(late[:, 2:, 1], late[:, 2:, 1])
+
+
+def test_an_estimate_tells_rates_after_a_lag(short):
+    found = navgym.estimate("deck_bank", short)
+    np.testing.assert_array_equal(found.theta_rate_after(0.0), found.theta_rate)
+    late = found.extras["theta_rate_lagged"]
+    for steps, lag in ((1, 0.05), (2, 0.1)):
+        told = found.theta_rate_after(lag)
+        np.testing.assert_array_equal(told[:-steps], late[steps:, steps - 1])
+        assert np.isnan(told[-steps:]).all()
+    with pytest.raises(ValueError, match=r"lag must be one of 0, 0\.05, 0\.1 s, got 0\.07"):
+        found.theta_rate_after(0.07)
+    with pytest.raises(ValueError, match="use deck_bank"):
+        navgym.estimate("alignment", short).theta_rate_after(0.05)
 
 
 # --- lever arm and channels -----------------------------------------------------------------------
