@@ -61,7 +61,7 @@ class Options:
 
     runs: int = 60
     """recordings per condition"""
-    only: tuple[Literal["main", "shifts", "wrong", "seas", "lags", "widths", "nees"], ...] = ()  # fmt: skip
+    only: tuple[Literal["main", "shifts", "wrong", "seas", "lags", "widths", "nees", "identified"], ...] = ()  # fmt: skip
     """tables to make; none: all"""
     split: str = "test"
     """whose seeds"""
@@ -301,6 +301,32 @@ def nees(options: Options) -> Found:
     return found
 
 
+def identified(options: Options) -> Found:
+    """Filters that identify the flexure beside the bank, which believes two: a third of the recordings."""
+    print("\n## Identification beside the bank\n\n| sea | filter | θ̇ | θ_ac | θ | attitude | θ̇: the bank over it, % | θ_ac, % |")  # fmt: skip
+    print("|---|---|---|---|---|---|---|---|")
+    few, found = dataclasses.replace(options, runs=max(options.runs // 3, 2)), {}
+    for scenario in ("paper", "sea-state", "switch-60"):
+        parts: dict[str, list[dict[str, Array]]] = {}
+        for cases in Condition(f"deck/{scenario}").parts(few):
+            for name in ("alignment_mcc", "idam", "svram", "woam", "deck_bank", "oracle"):
+                wide = {} if name in ("deck_bank", "oracle") else _best_width(scenario)
+                states = PROBLEM.run(name, cases.batch, wide).states
+                parts.setdefault(name, []).append(errors(cases, states))
+        each = {n: {q: np.concatenate([p[q] for p in rows]) for q in QUANTITIES} for n, rows in parts.items()}  # fmt: skip
+        for name, e in each.items():
+            means = " | ".join(f"{e[q].mean():.3f}" for q in QUANTITIES)
+            own = each["deck_bank"]
+            gains = " | ".join("–" if e is own else gain(own[q], e[q]) for q in QUANTITIES[:2])
+            print(f"| {scenario} | {name} | {means} | {gains} |", flush=True)
+        found[scenario] = {n: {q: v.tolist() for q, v in e.items()} for n, e in each.items()}
+    return found
+
+
+def _best_width(scenario: str) -> dict[str, Any]:
+    return dict(find_scenario(f"deck/{scenario}").reference)
+
+
 def _nees(batch: Any, run: Any) -> list[float]:
     errors, P = run_errors(batch, 0, run.states[0], attitude=False), run.covariances[0]
     found = []
@@ -322,6 +348,7 @@ def main() -> None:
         "lags": lambda: lags(options),
         "widths": lambda: widths(options),
         "nees": lambda: nees(options),
+        "identified": lambda: identified(options),
     }
     chosen = options.only or tuple(tables)
     found = {name: tables[name]() for name in chosen}

@@ -89,12 +89,12 @@ class Intake:
             time: s.
             disturbance: (6,) errors of the transmitted quantities, if a simulator made some.
         """
-        sample = _checked(measurement, self._unit)
+        sample, whole = _checked(measurement, self._unit)
         if lost is not None:
             sample[flags(lost, SHAPE)] = np.nan
+            whole = math.isfinite(sample.sum())
         self.time = self._checked_time(time)
         self._disturbance[:] = 0.0 if disturbance is None else disturbance
-        whole = math.isfinite(sample.sum())
         if not whole:
             self._fill(sample)
         if whole or self._started or not np.isnan(sample).any():
@@ -175,14 +175,15 @@ class Intake:
             yield whole[k], float(recording.time[k]), more
 
 
-def _checked(measurement: Any, unit: float) -> NDArray[np.float64]:
-    """A sample (4, 3) in increments, its own copy; ValueError where it is none."""
+def _checked(measurement: Any, unit: float) -> tuple[NDArray[np.float64], bool]:
+    """A sample (4, 3) in increments, its own copy, and whether it is whole; ValueError if it is none."""
     sample: Array = real_array("measurement", measurement, finite=False) * unit
     if sample.shape not in (SHAPE, (12,)):
         raise ValueError(
             "measurement must have shape (4, 3), rows main angle, main velocity, sub angle, sub "
             f"velocity, got {sample.shape}: pass NaN where a sample was lost."
         )
-    if not math.isfinite(sample.sum()) and np.isinf(sample).any():
+    whole = math.isfinite(sample.sum())
+    if not whole and np.isinf(sample).any():
         raise ValueError(f"measurement must be finite or NaN, got {measurement}: mark it as lost.")
-    return sample.reshape(SHAPE)
+    return sample.reshape(SHAPE), whole
