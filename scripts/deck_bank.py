@@ -18,6 +18,7 @@ import json
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -28,6 +29,7 @@ from navgym import agents
 from navgym.agents.evaluation.contest import choosing
 from navgym.agents.evaluation.rollout import Learnt
 from navgym.core.checks import Array
+from navgym.deck import alignment, alignment_model, bank, hypotheses, joint
 from navgym.deck.catalogue import CATALOGUE, Deck
 from navgym.deck.conditions import mild
 from navgym.deck.errors import deck_errors, run_errors
@@ -61,7 +63,7 @@ class Options:
 
     runs: int = 60
     """recordings per condition"""
-    only: tuple[Literal["main", "shifts", "wrong", "seas", "lags", "widths", "nees", "identified"], ...] = ()  # fmt: skip
+    only: tuple[Literal["main", "shifts", "wrong", "seas", "lags", "widths", "nees", "identified", "told"], ...] = ()  # fmt: skip
     """tables to make; none: all"""
     split: str = "test"
     """whose seeds"""
@@ -323,6 +325,47 @@ def identified(options: Options) -> Found:
     return found
 
 
+def told(options: Options) -> Found:
+    """What the bank would win if it were told the regime: the mode of each step's runs alone."""
+    print(
+        "\n## The regime told instead of found\n\n| filter | θ̇ | θ_ac | θ | attitude | θ̇ won by knowing, % |"
+    )
+    print("|---|---|---|---|---|---|")
+    parts: dict[str, list[dict[str, Array]]] = {"found": [], "told": []}
+    for cases in Condition().parts(options):
+        found = PROBLEM.run("deck_bank", cases.batch).states
+        known = np.concatenate([_knowing(cases.take([i])) for i in range(len(cases))])
+        parts["found"].append(errors(cases, found))
+        parts["told"].append(errors(cases, known))
+    each = {n: {q: np.concatenate([p[q] for p in rows]) for q in QUANTITIES} for n, rows in parts.items()}  # fmt: skip
+    for name, e in each.items():
+        means = " | ".join(f"{e[q].mean():.3f}" for q in QUANTITIES)
+        won = "–" if name == "found" else gain(e["theta_rate"], each["found"]["theta_rate"])
+        print(f"| {name} | {means} | {won} |", flush=True)
+    return {n: {q: v.tolist() for q, v in e.items()} for n, e in each.items()}
+
+
+def _knowing(cases: Cases) -> Array:
+    """States (1, K, 24) on one recording of switch-60 of the bank's modes, each where it is right."""
+    batch, recording, n = cases.batch, cases.recordings[0], alignment.STATES
+    mode = {"calm": 0, "swell": 1, "slam": 2, "glitch": 3}
+    right = np.array([mode[name] for name in cases.regimes])[batch.regimes()[0]]
+    space = CATALOGUE["deck_bank"].space
+    row = hypotheses.table_of(space, space.array({})[None])
+    models = alignment_model.pack(recording, hypotheses.flexures_of(recording.model))[None]
+    lanes = np.zeros((1, 2), joint.LANE)
+    hypotheses.begin(lanes, models, hypotheses.KINDS[:1], np.zeros(1))
+    states, ends = np.zeros((1, len(right), n)), np.flatnonzero(np.diff(right)) + 1
+    for first, last in pairwise([0, *ends, len(right)]):
+        kinds = hypotheses.KINDS[right[first]][None]
+        rest = (np.zeros((1, 0), alignment.REPORT), np.zeros((1, 0, n, n)), np.zeros((1, 0, 1)), np.zeros((1, 0, 2, 3)))  # fmt: skip
+        part = np.zeros((1, last - first, n))
+        tapes = np.ascontiguousarray(batch.tapes[:, first:last])
+        bank.run(lanes, models, kinds, tapes, first, row, 1, *hypotheses.NOTHING_KNOWN, part, *rest)
+        states[:, first:last] = part
+    return states
+
+
 def _best_width(scenario: str) -> dict[str, Any]:
     return dict(find_scenario(f"deck/{scenario}").reference)
 
@@ -349,6 +392,7 @@ def main() -> None:
         "widths": lambda: widths(options),
         "nees": lambda: nees(options),
         "identified": lambda: identified(options),
+        "told": lambda: told(options),
     }
     chosen = options.only or tuple(tables)
     found = {name: tables[name]() for name in chosen}
