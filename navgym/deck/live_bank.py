@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from decimal import Decimal
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -76,7 +77,17 @@ class LiveDeckBank(Intake):
             np.zeros((1, 1, n)), np.zeros((1, 1), alignment.REPORT), np.zeros((1, 1, n, n)),
             np.zeros((1, 1, J)), np.zeros((1, 1, hypotheses.LAGS, 3)),
         )  # fmt: skip
-        self._enter: dict[str, Callable[..., Any]] = {}
+        self._views = tuple(self._told[i][0, 0] for i in (0, 2, 3, 4))
+        self._nis, self._failed = self._told[1]["nis"][0], self._lanes["diverged"][0]
+        mechanise = (
+            self._samples, self._filled, self._lever, self.interval, self._moving,
+            self._disturbance, self._tape,
+        )  # fmt: skip
+        self._mechanise = partial(entry(mechanize_live, mechanise), *mechanise)
+        before = self._lanes, self._models, self._kinds, self._tape[None]
+        after = self._row, 1, *hypotheses.NOTHING_KNOWN, *self._told
+        self._before, self._after = before, after
+        self._run = entry(bank.run, (*before, 0, *after))
         self.reset()
 
     def reset(self) -> None:
@@ -139,42 +150,17 @@ class LiveDeckBank(Intake):
         if not self._started:
             self._start()
         self._gather()
-        self._call(
-            mechanize_live, self._samples, self._filled, self._lever, self.interval, self._moving,
-            self._disturbance, self._tape,
-        )  # fmt: skip
-        self._call(
-            bank.run, self._lanes, self._models, self._kinds, self._tape[None], self._k, self._row, 1,
-            *hypotheses.NOTHING_KNOWN, *self._told,
-        )  # fmt: skip
+        self._mechanise()
+        self._run(*self._before, self._k, *self._after)
         self._shift()
         self._k += 1
-        failed = bool(self._lanes["diverged"][0, -1] > 0)
-        tape = self._tape.copy()
+        failed = bool(self._failed[-1])
+        x, P, weights, lagged = (view.copy() for view in self._views)
+        tape, nis = self._tape.copy(), self._nis.item()
         if failed:
             self.restarts += 1
             self._begin()
-        return self._tell(failed, tape)
-
-    def _call(self, kernel: Any, *arguments: Any) -> None:
-        """`kernel` on arguments whose types never change."""
-        name = kernel.__name__
-        if name not in self._enter:
-            self._enter[name] = entry(kernel, arguments)
-        self._enter[name](*arguments)
-
-    def _tell(self, failed: bool, tape: Any) -> LiveBankEstimate:
-        x, report, P, weights, lagged = (each[0, 0].copy() for each in self._told)
         assert self.time is not None
         return LiveBankEstimate(
-            self.time,
-            x,
-            P,
-            float(report["nis"]),
-            self.parameters,
-            None,
-            failed,
-            tape,
-            weights,
-            lagged,
+            self.time, x, P, nis, self.parameters, None, failed, tape, weights, lagged
         )
