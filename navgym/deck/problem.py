@@ -153,7 +153,7 @@ CONTEST = Contest(
     rivals=(
         Rival("MCC off", "alignment", about="the plain filter: without correntropy"),
         Rival("deck_bank", "deck_bank", about="calm, rougher sea, slam and glitch side by side, weighed by what they foretell: no width to choose, nothing learnt", adapts=True),
-        Rival("deck_bank_lever", "deck_bank_lever", about="the same with the lever arm's error among its states, velocities trusted", adapts=True),
+        Rival("deck_bank_lever", "deck_bank_lever", about="the same with an error of the lever arm among its states, velocities trusted", adapts=True),
         Rival("oracle", "oracle", about="told the true flexure and noises of every step: a bound", bound=True),
     ),
     hand_rule=lazy("navgym.deck.rule:ResidualSign"),
