@@ -3,7 +3,8 @@
 Names load on first use, so `import navgym` stays quick: `simulate`, `scenarios`, `seeds`, `read`,
 `geographic`, `estimate`, `filters`, `parameter_space`, and the data classes `Recording`,
 `LinearModel`, `CoordinatedTurnModel`, `Estimate`, `Parameter`, `ParameterSpace`; for two IMUs on a deck
-`DualIMURecording`, `DeckModel`, `FlexureModel`, `DeckEstimate`, `flexure_increments`, `identify`.
+`DualIMURecording`, `DeckModel`, `FlexureModel`, `DeckEstimate`, `flexure_increments`, `identify`,
+`LiveDeckBank`.
 Importing the package registers its environments.
 """
 
@@ -25,6 +26,7 @@ _HOME = {
     "Estimate": "navgym.estimation",
     "FlexureModel": "navgym.inertial.flexure",
     "LinearModel": "navgym.statespace.models",
+    "LiveDeckBank": "navgym.deck.live_bank",
     "Parameter": "navgym.core.parameters",
     "ParameterSpace": "navgym.core.parameters",
     "Recording": "navgym.statespace.recording",
@@ -48,6 +50,7 @@ __all__ = [
     "Estimate",
     "FlexureModel",
     "LinearModel",
+    "LiveDeckBank",
     "Parameter",
     "ParameterSpace",
     "Recording",
@@ -69,6 +72,7 @@ if TYPE_CHECKING:
     from navgym.core.parameters import Parameter, ParameterSpace
     from navgym.core.seeds import seeds
     from navgym.deck.estimation import DeckEstimate, flexure_increments
+    from navgym.deck.live_bank import LiveDeckBank
     from navgym.deck.model import DeckModel
     from navgym.deck.recording import DualIMURecording
     from navgym.estimation import Estimate, estimate, filters, parameter_space

@@ -145,18 +145,18 @@ def move_rows(lane, model, tape):
     for i in range(3):
         n, m = (i + 1) % 3, (i + 2) % 3
         c0, c1, c2 = dt * C[i, 0], dt * C[i, 1], dt * C[i, 2]
-        for j in range(STATES):
+        for j in range(P.shape[0]):
             P[AT.DV + i, j] += (
                 v[n] * P[AT.PHI + m, j] - v[m] * P[AT.PHI + n, j]
                 + c0 * P[AT.NABLA, j] + c1 * P[AT.NABLA + 1, j] + c2 * P[AT.NABLA + 2, j]
             )  # fmt: skip
     for i in range(3):
         c0, c1, c2 = dt * C[i, 0], dt * C[i, 1], dt * C[i, 2]
-        for j in range(STATES):
+        for j in range(P.shape[0]):
             P[AT.PHI + i, j] -= c0 * P[AT.EPS, j] + c1 * P[AT.EPS + 1, j] + c2 * P[AT.EPS + 2, j]
         m0, m1, m2 = lane.M[i, 0], lane.M[i, 1], lane.M[i, 2]
         m3, m4, m5 = lane.M[i, 3], lane.M[i, 4], lane.M[i, 5]
-        for j in range(STATES):
+        for j in range(P.shape[0]):
             P[AT.VR + i, j] += (
                 m0 * P[AT.THETA, j] + m1 * P[AT.THETA + 1, j] + m2 * P[AT.THETA + 2, j]
                 + m3 * P[AT.RATE, j] + m4 * P[AT.RATE + 1, j] + m5 * P[AT.RATE + 2, j]
@@ -164,41 +164,56 @@ def move_rows(lane, model, tape):
     for a in range(3):
         f00, f01 = model.transition[a, 0, 0], model.transition[a, 0, 1]
         f10, f11 = model.transition[a, 1, 0], model.transition[a, 1, 1]
-        for j in range(STATES):
+        for j in range(P.shape[0]):
             p, r = P[AT.THETA + a, j], P[AT.RATE + a, j]
             P[AT.THETA + a, j] = f00 * p + f01 * r
             P[AT.RATE + a, j] = f10 * p + f11 * r
 
 
 @part
-def add_noise(lane, model, tape, rule, impulse):
-    """P ← P + Q; Q with the cross block of V_r and θ̇, since w_f drives both (eq. 77)."""
-    P, B, scale = lane.P, lane.B, lane.row[PROCESS]
-    gap = tape.gap * model.interval
+def drive(lane, a, q00, q01, q11, cross):
+    """P ← P + what drives θ and θ̇ of axis a with covariance q, and V_r with them (eq. 77)."""
+    P, B = lane.P, lane.B
+    P[AT.THETA + a, AT.THETA + a] += q00
+    P[AT.THETA + a, AT.RATE + a] += q01
+    P[AT.RATE + a, AT.THETA + a] += q01
+    P[AT.RATE + a, AT.RATE + a] += q11
     for i in range(3):
-        P[AT.PHI + i, AT.PHI + i] += model.gyro + (gap * GAP_RATE) ** 2
-        P[AT.DV + i, AT.DV + i] += model.accelerometer + (gap * GAP_FORCE) ** 2
-    for a in range(3):
-        q00, q01 = scale * model.noise[a, 0, 0], scale * model.noise[a, 0, 1]
-        q11 = scale * model.noise[a, 1, 1] + impulse[a]
-        P[AT.THETA + a, AT.THETA + a] += q00
-        P[AT.THETA + a, AT.RATE + a] += q01
-        P[AT.RATE + a, AT.THETA + a] += q01
-        P[AT.RATE + a, AT.RATE + a] += q11
-        for i in range(3):
-            left, right = B[i, a] * q00 + B[i, 3 + a] * q01, B[i, a] * q01 + B[i, 3 + a] * q11
-            if not rule.no_cross:
-                P[AT.VR + i, AT.THETA + a] += left
-                P[AT.THETA + a, AT.VR + i] += left
-                P[AT.VR + i, AT.RATE + a] += right
-                P[AT.RATE + a, AT.VR + i] += right
-            for j in range(3):
-                P[AT.VR + i, AT.VR + j] += left * B[j, a] + right * B[j, 3 + a]
+        left, right = B[i, a] * q00 + B[i, 3 + a] * q01, B[i, a] * q01 + B[i, 3 + a] * q11
+        if cross:
+            P[AT.VR + i, AT.THETA + a] += left
+            P[AT.THETA + a, AT.VR + i] += left
+            P[AT.VR + i, AT.RATE + a] += right
+            P[AT.RATE + a, AT.VR + i] += right
+        for j in range(3):
+            P[AT.VR + i, AT.VR + j] += left * B[j, a] + right * B[j, 3 + a]
 
 
 @part
-def linearize(lane, tape):
-    """Innovation z − h(x⁻) and the nonzero elements of H there (eq. 78 and its Jacobian)."""
+def add_sensor_noise(lane, model, tape):
+    """P ← P + what the sub IMU's own noise adds to φ and δV, more where samples were filled in."""
+    gap = tape.gap * model.interval
+    for i in range(3):
+        lane.P[AT.PHI + i, AT.PHI + i] += model.gyro + (gap * GAP_RATE) ** 2
+        lane.P[AT.DV + i, AT.DV + i] += model.accelerometer + (gap * GAP_FORCE) ** 2
+
+
+@part
+def add_noise(lane, model, tape, rule):
+    """P ← P + Q; Q with the cross block of V_r and θ̇, since w_f drives both (eq. 77)."""
+    scale = lane.row[PROCESS]
+    add_sensor_noise(lane, model, tape)
+    for a in range(3):
+        q00, q01 = scale * model.noise[a, 0, 0], scale * model.noise[a, 0, 1]
+        drive(lane, a, q00, q01, scale * model.noise[a, 1, 1], not rule.no_cross)
+
+
+@part
+def linearize(lane, tape, rate):
+    """Innovation z − h(x⁻) and the nonzero elements of H there (eq. 78 and its Jacobian).
+
+    `rate` is the first of the states that the rate rows match: θ̇, or its mean over the step.
+    """
     x, C, D = lane.x, lane.C_s, lane.C_m
     V, w = tape.V_s, tape.w_s
     for i in range(3):
@@ -207,7 +222,7 @@ def linearize(lane, tape):
         lane.column[3 + i] = 0.0
         for j in range(3):
             lane.column[i] += C[i, j] * x[AT.EPS + j]
-            lane.column[3 + i] += D[i, j] * x[AT.RATE + j]
+            lane.column[3 + i] += D[i, j] * x[rate + j]
     for i in range(3):
         n, m = (i + 1) % 3, (i + 2) % 3
         ln, lm = x[AT.L + n], x[AT.L + m]
@@ -289,21 +304,21 @@ def predict_error(lane, model):
 
 
 @part
-def step(lane, model, tape, rule, impulse, disturbance):
-    """One filter step on a tape's record; the truth of the oracle adds to Q and R."""
+def step(lane, model, tape, rule):
+    """One filter step on a tape's record."""
     matrix(tape.q_mid, lane.C_s)
     lever_step(lane, model, tape)
     move_state(lane, model, tape)
     move_rows(lane, model, tape)
     update.transpose(lane)
     move_rows(lane, model, tape)
-    add_noise(lane, model, tape, rule, impulse)
-    linearize(lane, tape)
+    add_noise(lane, model, tape, rule)
+    linearize(lane, tape, AT.RATE)
     scale = lane.row[PROCESS]
     for i in range(3):
-        lane.R[i] = lane.row[VELOCITY] ** 2 + disturbance[i]
+        lane.R[i] = lane.row[VELOCITY] ** 2
         # a mean rate over the step measures the rate at its end: the difference has variance q dt/3
-        lane.R[3 + i] = model.rate + scale * model.density[i] * model.dt / 3.0 + disturbance[3 + i]
+        lane.R[3 + i] = model.rate + scale * model.density[i] * model.dt / 3.0
         lane.used[i] = 1
         lane.used[3 + i] = 1 if tape.gap == 0 else 0
     if rule.judged:
@@ -312,7 +327,7 @@ def step(lane, model, tape, rule, impulse, disturbance):
         lane.model_error[i] = 0.0
     if lane.row[WEIGHT] < WEIGHT_OFF:
         predict_error(lane, model)
-        linearize(lane, tape)
+        linearize(lane, tape, AT.RATE)
     update.expect(lane)
     update.robust(lane, rule, lane.row[WIDTH])
     update.check(lane)
@@ -340,8 +355,6 @@ def run(
     rules,
     table,
     interval,
-    impulse,
-    disturbance,
     outputs,
     reports,
     covariances,
@@ -355,14 +368,11 @@ def run(
         rules: (1,) RULE.
         table: (N or 1, intervals, 4) parameters; row k // interval holds in step k, the last to the end.
         interval: steps per row of `table`.
-        impulse: (N, K, 3) variance to add to θ̇, or (N, 0, 3).
-        disturbance: (N, K, 6) variance to add to R, or (N, 0, 6).
         outputs: (N, K, 24) states.
         reports: (N, K or 0) REPORT.
         covariances: (N, K or 0, 24, 24).
     """
     rule = rules[0]
-    no_impulse, no_disturbance = np.zeros(3), np.zeros(6)
     for i in range(len(lanes)):
         lane = lanes[i]
         for k in range(lane.k, min(lane.length, tapes.shape[1])):
@@ -370,9 +380,7 @@ def run(
             for p in range(table.shape[2]):
                 lane.row[p] = table[min(i, table.shape[0] - 1), row, p]
             tape = tapes[i, k]
-            jump = impulse[i, k] if impulse.shape[1] > 0 else no_impulse
-            extra = disturbance[i, k] if disturbance.shape[1] > 0 else no_disturbance
-            step(lane, models[i, tape.model], tape, rule, jump, extra)
+            step(lane, models[i, tape.model], tape, rule)
             for a in range(STATES):
                 outputs[i, k, a] = lane.x[a]
             if reports.shape[1] > 0:

@@ -17,12 +17,16 @@ class Deck:
     Args:
         method: how the flexure is identified on line (see `navgym.identification`); None: never.
         truth: whether the true flexure and the true noises are known.
+        bank: whether several hypotheses run side by side.
+        joint: whether one runs with the bank's model of the mean rate.
         printed: whether weights, Q, covariance and increments are the paper's own.
         shrunk: whether what is identified is shrunk toward what was believed.
     """
 
     method: str | None = None
     truth: bool = False
+    bank: bool = False
+    joint: bool = False
     printed: bool = False
     shrunk: bool = True
 
@@ -30,6 +34,8 @@ class Deck:
 _ALL = (
     Filter("alignment", "24-state deck filter, the flexure as believed: an extended Kalman filter", spaces.ALIGNMENT, "deck", Deck()),
     Filter("alignment_mcc", "the same, robust by the correntropy criterion", spaces.ALIGNMENT_MCC, "deck", Deck()),
+    Filter("deck_bank", "calm, rougher sea, slam and glitch by four filters and their probabilities: no width to choose", spaces.DECK_BANK, "deck", Deck(bank=True)),
+    Filter("deck_bank_lever", "deck_bank with the lever arm's error among the states, so that velocities may be trusted", spaces.DECK_BANK_LEVER, "deck", Deck(bank=True)),
     Filter("idam", "flexure identified on line by an RVM, correntropy, model prediction on request: IDAM, corrected", spaces.IDAM, "deck", Deck("rvm")),
     Filter("idam_printed", "IDAM as printed: body-frame increments, weights judged by R", spaces.IDAM_PRINTED, "deck", Deck("rvm", printed=True)),
     Filter("svram", "flexure identified by support vector regression", spaces.IDENTIFIED, "deck", Deck("svr")),

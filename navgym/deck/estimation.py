@@ -14,6 +14,7 @@ from navgym.deck.alignment import PHI, RATE, THETA, L
 from navgym.deck.batch import DeckBatch
 from navgym.deck.filters import Identified
 from navgym.deck.filters import estimate as run_lanes
+from navgym.deck.hypotheses import LAGS
 from navgym.deck.increments import increments_of, rodrigues
 from navgym.deck.mechanization import TAPE, coarse_alignment, write_tape
 from navgym.deck.recording import DualIMURecording
@@ -43,6 +44,9 @@ class DeckEstimate(Estimate):
             or None without a reference.
         unobserved: (u, 3) directions (main axes at the start) about which the attitude has not
             been learnt: heading, where nothing moves.
+
+    A bank's `extras` hold `mode_weights` (K, 4), the probabilities of calm, rougher sea, slam and glitch,
+    and its `weights` are probabilities that a row is right.
     """
 
     attitude: Array
@@ -68,6 +72,30 @@ class DeckEstimate(Estimate):
     def model_error(self) -> Array:
         """(K, 3) predicted error of the flexure's acceleration, rad/s²."""
         found: Array = self.extras["model_error"]
+        return found
+
+    def theta_rate_after(self, lag: float) -> Array:
+        """(K, 3) rad/s, a bank's θ̇ at each step by what was measured until `lag` s later.
+
+        A step's mean rate tells more of where it began than of where it ends. The last steps, which
+        nothing follows, are NaN.
+
+        Args:
+            lag: s, none to two filter steps.
+
+        Raises ValueError for another lag, and for a filter that is no bank.
+        """
+        step = float(self.time[1] - self.time[0])
+        steps = round(lag / step)
+        if not abs(lag - steps * step) < 1e-6 or not 0 <= steps <= LAGS:
+            told = ", ".join(f"{n * step:g}" for n in range(LAGS + 1))
+            raise ValueError(f"lag must be one of {told} s, got {lag:g}.")
+        if steps == 0:
+            return self.theta_rate
+        if "theta_rate_lagged" not in self.extras:
+            raise ValueError("only banks tell rates of steps before: use deck_bank.")
+        found = np.full_like(self.theta_rate, np.nan)
+        found[:-steps] = self.extras["theta_rate_lagged"][steps:, steps - 1]
         return found
 
     @property
@@ -97,7 +125,7 @@ def run(chosen: Filter, batch: DeckBatch, table: Array, interval: int, everythin
         log_likelihood=report["log_likelihood"],
         components=np.isfinite(report["innovation"]).sum(axis=-1),
         extras={name: report[name] for name in ("weights", "model_error", "innovation_variance")}
-        | {"flexures": found["flexures"]},
+        | {n: found[n] for n in ("flexures", "mode_weights", "theta_rate_lagged") if n in found},
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from navgym.core.checks import Array
 from navgym.core.parameters import ParameterSpace
 from navgym.deck import alignment as kernels
-from navgym.deck import alignment_model
+from navgym.deck import alignment_model, hypotheses
 from navgym.deck.batch import DeckBatch
 from navgym.deck.catalogue import Deck
 from navgym.deck.increments import increments_of, rodrigues
@@ -54,17 +54,17 @@ def estimate(
         and covariances; `diverged` (N,); `flexures`, a list of `Identified` per recording.
     """
     count, steps = batch.tapes.shape
-    rows = np.ascontiguousarray(full_table(chosen.space, table))
     option: Deck = chosen.option
+    if option.truth or option.bank or option.joint:
+        return hypotheses.estimate(chosen, batch, table, interval, everything)
+    rows = np.ascontiguousarray(full_table(chosen.space, table))
     if option.printed:
         models = np.stack([printed_models(r) for r in batch.recordings])
-    elif option.truth:
-        batch, models = _true_models(batch)
     else:
         models = np.stack([alignment_model.pack(r) for r in batch.recordings])
     lanes = np.zeros(count, kernels.LANE)
     kernels.begin(lanes, models, rows[:, 0])
-    world = (batch.tapes, rule_of(option, everything), rows, interval, *_known_noise(batch, option))
+    world = (batch.tapes, rule_of(option, everything), rows, interval)
     rest = steps if everything else 0
     outputs = {
         "states": np.full((count, steps, kernels.STATES), np.nan),
@@ -108,32 +108,6 @@ def printed_models(recording: Any, flexure: FlexureModel | None = None) -> NDArr
     given = recording.model.flexure if flexure is None else flexure
     b = np.sqrt(given.stiffness)
     return alignment_model.pack(recording, [FlexureModel(2.0 * b, b**2, given.sigma)])
-
-
-def _true_models(batch: DeckBatch) -> tuple[DeckBatch, NDArray[Any]]:
-    """The batch with each step's own flexure model, and those models."""
-    tapes, packed = batch.tapes.copy(), []
-    for i, r in enumerate(batch.recordings):
-        rows, which = np.unique(r.true_flexure, axis=0, return_inverse=True)
-        models = [FlexureModel(row[:3], row[3:6], row[6:]) for row in rows]
-        tapes["model"][i, : len(which)] = which.ravel()
-        packed.append(alignment_model.pack(r, models))
-        packed[-1]["start"] = packed[-1]["start"][which.ravel()[0]]
-    most = max(len(p) for p in packed)
-    stacked = [np.concatenate([p, p[[-1] * (most - len(p))]]) for p in packed]
-    return replace(batch, tapes=tapes), np.stack(stacked)
-
-
-def _known_noise(batch: DeckBatch, option: Deck) -> tuple[Array, Array]:
-    """Variances that only the oracle knows, or empty arrays."""
-    count, steps = batch.tapes.shape
-    if not option.truth:
-        return np.zeros((count, 0, 3)), np.zeros((count, 0, 6))
-    impulse, disturbance = np.zeros((count, steps, 3)), np.zeros((count, steps, 6))
-    for i, r in enumerate(batch.recordings):
-        impulse[i, : r.steps] = r.impulse_variance
-        disturbance[i, : r.steps] = r.disturbance_variance
-    return impulse, disturbance
 
 
 def _run_identifying(

@@ -14,7 +14,7 @@ import numpy as np
 from navgym.core.compile import kernel, part
 from navgym.deck import alignment, spaces
 from navgym.deck.alignment import AT, MEASUREMENTS, STATES
-from navgym.deck.mechanization import disturb, mechanize_step
+from navgym.deck.mechanization import mechanize_next
 from navgym.envs.actions import bounded, foretold, log_square, place, set_parameters
 from navgym.envs.base import (
     FREEDOM,
@@ -118,11 +118,11 @@ def score(station, lane, tape, dt, out):
 
 
 @part
-def filter_step(station, lane, model, tape, filter_rule, rule, nothing):
+def filter_step(station, lane, model, tape, filter_rule, rule):
     """The filter on one step, with the parameters in force."""
     for p in range(lane.row.shape[0]):
         lane.row[p] = station.row[rule.columns[p]]
-    alignment.step(lane, model, tape, filter_rule, nothing, nothing)
+    alignment.step(lane, model, tape, filter_rule)
     watch(station, lane, model)
 
 
@@ -145,7 +145,6 @@ def rehearse(
         scores: (R, K, 4) to be filled; the last is the log-likelihood, if the filter judges itself.
         means: (R, 3) to be filled with the mean scores from `start` on.
     """
-    nothing = np.zeros(MEASUREMENTS)
     for i in range(len(lanes)):
         lane, station, model = lanes[i], stations[i], models[i, 0]
         for k in range(station.length):
@@ -153,7 +152,7 @@ def rehearse(
                 station.k = k
                 checkpoints[i] = lanes[i]
                 starts[i] = stations[i]
-            filter_step(station, lane, model, tapes[i, k], filter_rules[0], rules[0], nothing)
+            filter_step(station, lane, model, tapes[i, k], filter_rules[0], rules[0])
             score(station, lane, tapes[i, k], model.dt, scores[i, k])
             scores[i, k, LOG_LIKELIHOOD] = lane.log_likelihood
             for s in range(SCORES):
@@ -208,7 +207,7 @@ def decide(
         for a in range(table.shape[0]):
             if stations[i].active and not math.isfinite(actions[i, a]):
                 return False
-    nothing, error = np.zeros(MEASUREMENTS), np.zeros(SCORES)
+    error = np.zeros(SCORES)
     for i in range(lanes.shape[0]):
         lane, station, model = lanes[i], stations[i], models[i, 0]
         if not station.active:
@@ -221,7 +220,7 @@ def decide(
         count = last - station.k
         for k in range(station.k, last):
             tape = tapes[which, k]
-            filter_step(station, lane, model, tape, filter_rules[0], rule, nothing)
+            filter_step(station, lane, model, tape, filter_rules[0], rule)
             score(station, lane, tape, model.dt, error)
             for s in range(SCORES):
                 own[s] += error[s] / count
@@ -273,11 +272,6 @@ def first_look(stations, rules, table, obs):
         observe(stations[i], rules[0], table, obs, i)
 
 
-# rows of what strapdown mechanisation carries from step to step
-LEVER, ATTITUDE_M, ATTITUDE_S, VELOCITY_M, VELOCITY_S = range(5)
-HISTORY = 2  # samples before a step that its mechanisation looks back on
-
-
 @part
 def rate_surprise(lane):
     """Sums over the used rate channels, each by itself: squared innovation over S, log S, count."""
@@ -315,16 +309,10 @@ def live(
         look: whether to write the observation.
         obs: (1, n) to write it to.
     """
-    nothing = np.zeros(MEASUREMENTS)
     model, tape = models[0], tapes[0]
-    mechanize_step(
-        samples[0], samples[1], samples[2], samples[3], filled, HISTORY,
-        samples.shape[1] - HISTORY, lever, model.interval, moving[LEVER], moving[ATTITUDE_M],
-        moving[ATTITUDE_S], moving[VELOCITY_M], moving[VELOCITY_S], tape,
-    )  # fmt: skip
-    disturb(tape, disturbance)
+    mechanize_next(samples, filled, lever, model.interval, moving, disturbance, tape)
     for i in range(2):
-        filter_step(stations[i], lanes[i], model, tape, filter_rules[0], rules[0], nothing)
+        filter_step(stations[i], lanes[i], model, tape, filter_rules[0], rules[0])
     for i in range(2):
         square, log_det, count = rate_surprise(lanes[i])
         if count > 0.0:

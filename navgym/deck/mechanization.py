@@ -37,6 +37,9 @@ TAPE = np.dtype(
         ("regime", _f8),
     ]
 )  # 344 bytes: 6.9 kB per second at 20 Hz
+# rows of what strapdown mechanisation carries from step to step
+LEVER, ATTITUDE_M, ATTITUDE_S, VELOCITY_M, VELOCITY_S = range(5)
+HISTORY = 2  # samples before a step that its mechanisation looks back on
 
 
 def tapes_of(recordings: Sequence[DualIMURecording]) -> tuple[NDArray[Any], NDArray[np.int64]]:
@@ -161,6 +164,23 @@ def disturb(out, disturbance):
     for i in range(3):
         out.V_s[i] += disturbance[i]
         out.w_s[i] += disturbance[3 + i]
+
+
+@part
+def mechanize_next(samples, filled, lever, h, moving, disturbance, tape):
+    """Fill a tape's record with the step of `samples` (4, HISTORY + per, 3), those before it included."""
+    mechanize_step(
+        samples[0], samples[1], samples[2], samples[3], filled, HISTORY,
+        samples.shape[1] - HISTORY, lever, h, moving[LEVER], moving[ATTITUDE_M],
+        moving[ATTITUDE_S], moving[VELOCITY_M], moving[VELOCITY_S], tape,
+    )  # fmt: skip
+    disturb(tape, disturbance)
+
+
+@kernel
+def mechanize_live(samples, filled, lever, h, moving, disturbance, tapes):
+    """Fill a tape (1,) with the step under way; see `navgym.deck.kernels.live`."""
+    mechanize_next(samples, filled, lever, h, moving, disturbance, tapes[0])
 
 
 @kernel

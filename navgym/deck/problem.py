@@ -100,7 +100,7 @@ STEERING = Steering(
     fixed={},
     first=(),
     measures=("theta_rate", "theta_ac", "theta"),
-    beside=("alignment",),
+    beside=("alignment", "deck_bank"),
     amount=Amount(60, 16, 16, 60),
     quick=Amount(4, 2, 2, 2),
     quick_overrides={},
@@ -116,7 +116,7 @@ STUDY = Study(
     amount=Amount(60, 16, 16, 60),
     free=(),
     referred=("alignment_mcc", "idam", "idam_printed", "svram", "woam"),
-    beside=("alignment", "alignment_mcc", "idam"),
+    beside=("alignment", "alignment_mcc", "idam", "deck_bank"),
     steering=STEERING,
     tables={n: {g: {"kernel_width": w} for g, w in _WIDTHS.items()} for n in _SWITCHING},
 )
@@ -152,12 +152,14 @@ CONTEST = Contest(
     everywhere=("theta_rate", "theta_ac", "theta"),  # the attitude takes as long as the filters
     rivals=(
         Rival("MCC off", "alignment", about="the plain filter: without correntropy"),
+        Rival("deck_bank", "deck_bank", about="calm, rougher sea, slam and glitch side by side, weighed by what they foretell: no width to choose, nothing learnt", adapts=True),
+        Rival("deck_bank_lever", "deck_bank_lever", about="the same with an error of the lever arm among its states, velocities trusted", adapts=True),
         Rival("oracle", "oracle", about="told the true flexure and noises of every step: a bound", bound=True),
     ),
     hand_rule=lazy("navgym.deck.rule:ResidualSign"),
     rule="the sign of what follows a large gyro residual",
     default="alignment_mcc",
-    highlight="",
+    highlight="deck_bank",
     top="true-regime table",
     # the bound knows the regime from the first step on, everybody else may begin badly in a glitch
     yardstick="MCC off",

@@ -22,7 +22,13 @@ from navgym.inertial.earth import GRAVITY
 IMPOSSIBLE = 1e9  # rad/s or m/s², as rates or increments: no IMU's, but a damaged file's
 WHOLE = 2.0**53  # whole numbers up to here are exact
 _IMU = ("main_angle", "main_velocity", "sub_angle", "sub_velocity")
-_STEPS = {"disturbance": 6, "disturbance_variance": 6, "impulse_variance": 3, "true_flexure": 9}
+_STEPS = {
+    "disturbance": 6,
+    "disturbance_variance": 6,
+    "impulse_variance": 3,
+    "impulse_left": 1,
+    "true_flexure": 9,
+}
 _ARRAYS = (*_IMU, "theta", "theta_rate", "static", "attitude", "regime", *_STEPS)
 
 
@@ -51,6 +57,7 @@ class DualIMURecording(Frozen):
             rad/s) at each filter step, that do not enter the mechanisation; None for none.
         disturbance_variance: (K, 6) true variance of these at each step, or None.
         impulse_variance: (K, 3) true variance of jumps of θ̇ within each step, rad²/s², or None.
+        impulse_left: (K, 1) share of each step that was still to come when θ̇ jumped, or None: its end.
         true_flexure: (K, 9) true (2μ, b², σ), three axes each, at each step, or None.
         meta: anything that JSON can hold: where the recording comes from, regime names.
         check_units: whether to refuse data whose units cannot be.
@@ -75,6 +82,7 @@ class DualIMURecording(Frozen):
     disturbance: Any = None
     disturbance_variance: Any = None
     impulse_variance: Any = None
+    impulse_left: Any = None
     true_flexure: Any = None
     meta: Mapping[str, Any] = field(default_factory=dict)
     check_units: bool = True

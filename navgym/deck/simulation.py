@@ -74,6 +74,7 @@ def _one(scenario: DeckScenario, seed: int) -> DualIMURecording:
         disturbance=disturbance,
         disturbance_variance=variance,
         impulse_variance=impulse_variance.reshape(T // s, s, 3).sum(axis=1),
+        impulse_left=_left(impulse_variance.reshape(T // s, s, 3)),
         true_flexure=_flexure_rows(scenario)[steps],
         meta=meta | {"seed": seed},
         check_units=False,
@@ -98,6 +99,15 @@ def _slams(
     jumps = deviation.copy()
     jumps[hit] *= rng.standard_normal((len(hit), 3))
     return jumps, deviation**2
+
+
+def _left(variance: Array) -> Array:
+    """(K, 1) share of each step that was left after its jumps, whose variances (K, s, 3) count."""
+    samples = variance.shape[1]
+    each = variance.sum(axis=2)
+    left = 1.0 - np.arange(1, samples + 1) / samples
+    found: Array = (each @ left) / np.maximum(each.sum(axis=1), 1e-300)
+    return found[:, None]
 
 
 def _flexure(

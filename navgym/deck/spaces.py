@@ -42,3 +42,43 @@ IDAM_PRINTED = ParameterSpace(
         RVM_KERNEL_SCALE, IDENTIFICATION_WINDOW,
     )
 )  # fmt: skip
+
+_EVENTS = (
+    Parameter(
+        "mode_stay", "p_s", "1", 0.8, 0.9999, "log-complement", 0.99,
+        equation="probability that a mode stays for 1 s (not in the paper; Blom & Bar-Shalom 1988)",
+    ),
+    Parameter(
+        "slam_rate", "λ_s", "1/s", 0.01, 10.0, "log", 0.2,
+        equation="jumps of θ̇ per second in the slam mode (not in the paper)",
+    ),
+    Parameter(
+        "slam_size", "s_s", "1", 0.5, 50.0, "log", 4.0,
+        equation="std of a jump over that of θ̇, bσ (not in the paper)",
+    ),
+    Parameter(
+        "glitch_rate", "p_g", "1", 1e-3, 0.5, "log", 0.1,
+        equation="probability, per channel and filter step, of a wrong value in the glitch mode (not in the paper)",
+    ),
+    Parameter(
+        "glitch_velocity", "g_V", "m/s", 0.01, 100.0, "log", 1.0,
+        equation="std of a wrong velocity (not in the paper)",
+    ),
+    Parameter(
+        "glitch_rate_size", "g_ω", "rad/s", 1e-5, 0.1, "log", 2e-3,
+        equation="std of a wrong rate (not in the paper)",
+    ),
+    Parameter(
+        "own_channels", "G", "1", 0, 1, "linear", 1, integer=True, choices=("off", "on"),
+        equation="innovations of V_s and ω_s alone, (I + l×)⁻¹ times those of IDAM eq. 78, once l is known",
+    ),
+)  # fmt: skip
+_LEVER = Parameter(
+    "lever_sd", "σ_r", "m", 0.0, 1.0, "linear", 0.0, at_start=True,
+    equation="std of the lever arm's error, which is then estimated; at 0 it is not (not in the paper)",
+)  # fmt: skip
+_TRUSTED = replace(VELOCITY_NOISE, low=1e-3)
+DECK_BANK = ParameterSpace((_TRUSTED, DECK_PROCESS, *_EVENTS, _LEVER))
+DECK_BANK_LEVER = ParameterSpace(
+    (replace(_TRUSTED, default=2e-3), DECK_PROCESS, *_EVENTS, replace(_LEVER, default=0.1))
+)

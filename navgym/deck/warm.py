@@ -19,6 +19,7 @@ Job = tuple[str, Callable[[], Any]]
 def kernels() -> list[Job]:
     """What there is to compile: a name, and what compiles it."""
     return [
+        ("deck bank", hypothesise),
         ("deck environment", partial(play, SCENARIO)),
         ("live deck filter", partial(stream, SCENARIO)),
         ("alignment", align),
@@ -29,6 +30,13 @@ def kernels() -> list[Job]:
 def align() -> None:
     """Run the filter on a few seconds."""
     navgym.estimate("alignment", brief(PROBLEMS["deck"], SCENARIO))
+
+
+def hypothesise() -> None:
+    """Run the bank on a few seconds, and sample by sample."""
+    recording = brief(PROBLEMS["deck"], SCENARIO)
+    navgym.estimate("deck_bank", recording)
+    next(navgym.LiveDeckBank(recording.model, interval=recording.interval).follow(recording))
 
 
 def identify() -> None:

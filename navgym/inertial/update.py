@@ -38,6 +38,7 @@ from navgym.core.health import NUMERICAL, SPIKE, settle, watch_power
 WIDTH_OFF = 50.0 - 1e-9  # a kernel of this width or more is a Kalman filter; 50, to rounding
 FLOOR = 1e-12  # of a correntropy weight: R/C stays finite
 LOG_2PI = math.log(2.0 * math.pi)
+BEYOND = 10.0  # of a wrong row's standard deviations: farther off it tells nothing at all
 
 _f8, _i8 = np.float64, np.int64
 RULE = [  # fields of a record that says how `robust` updates
@@ -186,11 +187,10 @@ def shift(lane, c):
 
 
 @part
-def judge(lane):
-    """NIS and log-likelihood of the used innovations under S = H P⁻ Hᵀ + R, unweighted."""
-    S, count, log_det, nis = lane.S, 0, 0.0, 0.0
-    m = lane.innovation.shape[0]
-    for c in range(m):
+def innovate(lane):
+    """S = H P⁻ Hᵀ + R, its lower triangle."""
+    S = lane.S
+    for c in range(lane.innovation.shape[0]):
         project(lane, c)
         for i in range(lane.x.shape[0]):
             lane.PH[c, i] = lane.column[i]
@@ -200,7 +200,20 @@ def judge(lane):
                 s += lane.H[d, a] * lane.PH[c, lane.index[d, a]]
             S[c, d] = s
         S[c, c] += lane.R[c]
-    for c in range(m):  # Cholesky factor in place, innovation whitened on the way
+
+
+@part
+def judge(lane):
+    """NIS and log-likelihood of the used innovations under S = H P⁻ Hᵀ + R, unweighted."""
+    innovate(lane)
+    whiten(lane)
+
+
+@part
+def whiten(lane):
+    """NIS and log-likelihood of the used innovations under S, which is overwritten."""
+    S, count, log_det, nis = lane.S, 0, 0.0, 0.0
+    for c in range(lane.innovation.shape[0]):  # Cholesky factor in place, innovation whitened
         if not lane.used[c]:
             for d in range(c):
                 S[c, d] = 0.0
@@ -292,6 +305,69 @@ def correct(lane, printed_covariance):
             a = lane.column[i]
             for j in range(n):
                 lane.P[i, j] -= a * lane.column[j]
+
+
+@part
+def bound(lane, limit):
+    """Cut innovations beyond `limit` standard deviations there, so that likelihoods stay numbers."""
+    for c in range(lane.innovation.shape[0]):
+        most = limit * math.sqrt(lane.variance[c])
+        lane.innovation[c] = min(max(lane.innovation[c], -most), most)
+
+
+@part
+def mixture(lane, chance):
+    """x and P by the used rows in turn, each wrong with probability `chance`; `expect` comes first.
+
+    A wrong row's noise has variance `spike` beside R. Both ways its gain lies along P Hᵀ, so that the
+    two posteriors, with weights w0 + w1 = 1 and S1 = S0 + spike, are one of the same moments by
+
+        x += P Hᵀ (w0/S0 + w1/S1) e,   P −= P Hᵀ H P [w0/S0 + w1/S1 − w0 w1 (1/S0 − 1/S1)² e²].
+
+    A row beyond `BEYOND` deviations of S1 is another kind of wrong, and moves nothing where it is wrong.
+    Writes the log-likelihood of the rows, their NIS under the mixture's variance, and as `weight`
+    w0, the probability that a row is right. With `chance` 0 it is a Kalman filter's update.
+    """
+    n, total, nis, count = lane.x.shape[0], 0.0, 0.0, 0
+    for c in range(lane.innovation.shape[0]):
+        lane.weight[c] = 1.0
+        lane.variance[c] += chance * lane.spike[c]
+        if not lane.used[c]:
+            continue
+        S = project(lane, c) + lane.R[c]
+        if not S > 0.0:
+            lane.diverged = NUMERICAL
+            S = math.nan
+        e = lane.innovation[c] - shift(lane, c)
+        gain = 1.0 / S
+        shrink = gain
+        told = -0.5 * (e * e * gain + math.log(S) + LOG_2PI)
+        if chance > 0.0:
+            wide = 1.0 / (S + lane.spike[c])
+            right = told + math.log(1.0 - chance)
+            wrong = math.log(chance) - 0.5 * (e * e * wide - math.log(wide) + LOG_2PI)
+            top = max(right, wrong)
+            told = top + math.log(math.exp(right - top) + math.exp(wrong - top))
+            w0, w1 = math.exp(right - told), math.exp(wrong - told)
+            if e * e * wide > BEYOND * BEYOND:
+                wide = 0.0
+            shrink = w0 * gain + w1 * wide - w0 * w1 * ((gain - wide) * e) ** 2
+            gain = w0 * gain + w1 * wide
+            lane.weight[c] = w0
+        total += told
+        nis += e * e / (S + chance * lane.spike[c])
+        count += 1
+        for i in range(n):
+            lane.x[i] += lane.column[i] * (gain * e)
+        root, sign = math.sqrt(abs(shrink)), 1.0 if shrink > 0.0 else -1.0
+        for i in range(n):
+            lane.column[i] *= root
+        for i in range(n):
+            a = sign * lane.column[i]
+            for j in range(n):
+                lane.P[i, j] -= a * lane.column[j]
+    lane.nis = nis if count > 0 else math.nan
+    lane.log_likelihood = total if count > 0 else 0.0
 
 
 @part

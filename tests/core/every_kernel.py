@@ -21,6 +21,7 @@ from navgym.auv.live import LiveAUV
 from navgym.auv.settings import AUVDropoutSettings
 from navgym.deck import alignment
 from navgym.deck.live import LiveDeck
+from navgym.deck.scenarios import SLAM
 from navgym.deck.settings import DeckDeformationSettings
 from navgym.envs.actions import fill_rows
 from navgym.inertial.mechanization import mechanise
@@ -33,7 +34,7 @@ from navgym.ins.recording import Aiding
 from navgym.ins.settings import INSDropoutSettings
 from navgym.statespace.batch import Batch
 from navgym.statespace.filters import bank, combiner
-from tests.deck.lanes import outputs_for, prepare, rule_of, run_alignment
+from tests.deck.lanes import outputs_for, prepare, rule_of, run_alignment, run_bank
 from tests.helpers import NAMES
 from tests.inertial import test_update
 from tests.ins import lanes as ins_lanes
@@ -52,8 +53,8 @@ def numbers():
     """Arrays by name, from every family of kernels."""
     found = {}
     for part in (
-        filters, mixture, deck, failing, updating, mechanised, inertial, identification, environments, live_auv,
-        live_deck, live_ins,
+        filters, mixture, deck, deck_bank, failing, updating, mechanised, inertial, identification,
+        environments, live_auv, live_deck, live_ins,
     ):  # fmt: skip
         found |= {f"{part.__name__} {name}": plain(v) for name, v in part().items()}
     return found
@@ -112,6 +113,21 @@ def deck():
     return found
 
 
+def deck_bank():
+    """The deck's bank on slams and glitches, told the lever's error or a kernel width, and live."""
+    events = dataclasses.replace(SLAM, slam_rate=20.0, glitch_rate=0.3)
+    recording = navgym.simulate("deck/slam", seed=2, duration=0.3, regimes=(events,))
+    sure = dataclasses.replace(
+        recording, model=dataclasses.replace(recording.model, misalignment=1e-3)
+    )
+    found = {}
+    for i, columns in enumerate(({"lever_sd": 0.1}, {"kernel_width": 3.0, "own_channels": 0.0})):
+        run = run_bank([sure], **columns)
+        found |= {f"{i} {k}": v for k, v in run.items() if k not in ("lanes", "tapes")}
+    live = navgym.LiveDeckBank(sure.model, interval=sure.interval)
+    return found | {"live": [each.state for each in live.follow(sure)]}
+
+
 def failing():
     """Lanes of the deck filter that break: roots of negative numbers and quotients by zero."""
     recording = navgym.simulate("deck/paper", seed=2, duration=0.2)
@@ -120,9 +136,7 @@ def failing():
         lanes, models, tapes, row = prepare([recording], velocity_noise=noise, kernel_width=3.0)
         lanes["P"] *= factor
         out = outputs_for(tapes)
-        alignment.run(
-            lanes, models, tapes, rule_of(), row, 1, np.zeros((1, 0, 3)), np.zeros((1, 0, 6)), *out
-        )
+        alignment.run(lanes, models, tapes, rule_of(), row, 1, *out)
         found |= {f"{name} states": out[0], f"{name} report": out[1], name: lanes["diverged"]}
     return found
 

@@ -3,7 +3,8 @@
 import numpy as np
 
 from navgym.deck import alignment as kernels
-from navgym.deck import alignment_model
+from navgym.deck import alignment_model, bank, hypotheses, joint
+from navgym.deck.catalogue import CATALOGUE as DECK_CATALOGUE
 from navgym.deck.mechanization import tapes_of
 
 REPORT = kernels.REPORT.names
@@ -48,7 +49,7 @@ def named(states, report, covariances):
 
 
 def run_alignment(
-    recordings, rule=None, flexures=None, impulse=None, disturbance=None, everything=True,
+    recordings, rule=None, flexures=None, everything=True,
     change=None, **parameters,
 ):  # fmt: skip
     """Run all recordings; the named outputs (N, K, ...) and `lanes`, `tapes`.
@@ -62,9 +63,33 @@ def run_alignment(
     lanes, models, tapes, row = prepare(recordings, flexures, **parameters)
     if change is not None:
         change(tapes)
-    count = len(recordings)
-    impulse = np.zeros((count, 0, 3)) if impulse is None else impulse
-    disturbance = np.zeros((count, 0, 6)) if disturbance is None else disturbance
     out = outputs_for(tapes, everything)
-    kernels.run(lanes, models, tapes, rule_of(**(rule or {})), row, 1, impulse, disturbance, *out)
+    kernels.run(lanes, models, tapes, rule_of(**(rule or {})), row, 1, *out)
     return named(*out) | {"lanes": lanes, "tapes": tapes}
+
+
+def bank_lanes(recordings, kinds=hypotheses.KINDS, lever_sd=0.0):
+    """Lanes (N, J + 1) of a bank at the start, models (N, 2) and tapes of recordings of one length."""
+    tapes, _ = tapes_of(recordings)
+    each = [alignment_model.pack(r, hypotheses.flexures_of(r.model)) for r in recordings]
+    lanes = np.zeros((len(recordings), len(kinds) + 1), joint.LANE)
+    hypotheses.begin(lanes, np.stack(each), kinds, np.full(len(recordings), lever_sd))
+    return lanes, np.stack(each), tapes
+
+
+def run_bank(recordings, kinds=hypotheses.KINDS, **columns):
+    """Run the bank's kernel with modes of one's own; its outputs by name, and `lanes`, `tapes`.
+
+    Columns that are not named are those of `deck_bank`'s defaults.
+    """
+    defaults = DECK_CATALOGUE["deck_bank"].space.array({})
+    row = hypotheses.table_of(DECK_CATALOGUE["deck_bank"].space, defaults[None])
+    for name, value in columns.items():
+        row[..., bank.COLUMNS.index(name)] = value
+    lanes, models, tapes = bank_lanes(recordings, kinds, columns.get("lever_sd", 0.0))
+    (count, steps), J = tapes.shape, len(kinds)
+    out = [*outputs_for(tapes), np.full((count, steps, J), np.nan), np.full((count, steps, 2, 3), np.nan)]  # fmt: skip
+    bank.run(lanes, models, kinds, tapes, 0, row, 1, *hypotheses.NOTHING_KNOWN, *out)
+    return named(*out[:3]) | {
+        "mode_weights": out[3], "lagged": out[4], "lanes": lanes, "tapes": tapes,
+    }  # fmt: skip

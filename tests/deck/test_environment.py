@@ -12,7 +12,15 @@ from navgym.deck.environment import DeckDeformationEnv, DeckDeformationVectorEnv
 from navgym.inertial.flexure import ARCMIN
 
 ID = "navgym/DeckDeformation-v0"
-TRUTH = ("theta", "theta_rate", "static", "attitude", "true_flexure", "impulse_variance")
+TRUTH = (
+    "theta",
+    "theta_rate",
+    "static",
+    "attitude",
+    "true_flexure",
+    "impulse_variance",
+    "impulse_left",
+)
 FAST = {"warmup": 10.0}
 
 

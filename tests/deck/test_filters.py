@@ -50,26 +50,6 @@ def test_alignment_mcc_is_the_kernel_with_a_width(switching):
     same(navgym.estimate("alignment_mcc", switching), run_alignment([switching], **default))
 
 
-def test_the_oracle_knows_flexure_and_noises_of_each_step(switching):
-    """Against the twin, told the truth step by step."""
-    short = navgym.simulate("deck/switch-30", 2, duration=10.0, dwell=(2.0, 2.0))
-    assert len(np.unique(short.at_steps(short.regime))) > 2
-    flexures = {tuple(row): FlexureModel(row[:3], row[3:6], row[6:]) for row in short.true_flexure}
-    batch = DeckBatch.of([short])
-    wanted = twin.alignment(
-        short, batch.tapes[0], twin.Rules(), [flexures[tuple(row)] for row in short.true_flexure],
-        short.impulse_variance, short.disturbance_variance,
-    )  # fmt: skip
-    found = navgym.estimate("oracle", short)
-    sd = np.sqrt(np.diagonal(np.array(wanted["covariances"]), axis1=1, axis2=2))
-    assert (np.abs(found.states - wanted["states"]) / sd).max() < 1e-6
-    np.testing.assert_allclose(found.nis, wanted["nis"], rtol=1e-5)
-    assert (
-        navgym.estimate("alignment", switching).states
-        != navgym.estimate("oracle", switching).states
-    ).any()
-
-
 def test_the_oracle_beats_the_believer_where_the_model_changes():
     batch = DeckBatch.of(simulate_many("deck/switch-30", range(6), duration=240.0))
     rms = {

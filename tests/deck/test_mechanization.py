@@ -54,7 +54,7 @@ def test_a_tape_has_a_record_per_whole_filter_step(per, steps):
     model = DeckModel(samples_per_step=per)
     short = replace(
         recording, model=model, disturbance=None, disturbance_variance=None,
-        impulse_variance=None, true_flexure=None,
+        impulse_variance=None, impulse_left=None, true_flexure=None,
     )  # fmt: skip
     tapes, lengths = tapes_of([short])
     assert tapes.dtype == TAPE

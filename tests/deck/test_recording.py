@@ -21,7 +21,7 @@ from navgym.inertial.earth import GRAVITY
 from navgym.inertial.flexure import FlexureModel
 
 IMU = ("main_angle", "main_velocity", "sub_angle", "sub_velocity")
-STEPS = ("disturbance", "disturbance_variance", "impulse_variance", "true_flexure")
+STEPS = ("disturbance", "disturbance_variance", "impulse_variance", "impulse_left", "true_flexure")
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,15 @@ from navgym.simulation import find_scenario, simulate_many
 
 IMU = ("main_angle", "main_velocity", "sub_angle", "sub_velocity")
 TRUTH = ("theta", "theta_rate")
-FIELDS = (*IMU, *TRUTH, "regime", "disturbance", "disturbance_variance", "impulse_variance")
+FIELDS = (
+    *IMU,
+    *TRUTH,
+    "regime",
+    "disturbance",
+    "disturbance_variance",
+    "impulse_variance",
+    "impulse_left",
+)
 PERFECT = {"main": NO_ERRORS, "sub": NO_ERRORS}
 
 
@@ -487,3 +495,18 @@ def test_true_flexure_is_that_of_the_regime_and_theta_grows_with_it():
     models = [g.flexure for g in DECK_CATALOGUE["sea-state"].regimes]
     for found, model in zip(late, models, strict=True):
         assert found.std(axis=0) == pytest.approx(model.rate_sigma, rel=0.2)
+
+
+def test_a_slam_leaves_the_share_of_its_step_that_is_said():
+    """θ̇ jumps with the sample after which that share of the step is left."""
+    per, found = 5, []
+    for r in simulate_many("deck/slam", range(3), duration=60.0):
+        struck = (r.impulse_variance > 0.0).any(axis=1)
+        assert (r.impulse_left[~struck] == 0.0).all()
+        change = np.linalg.norm(np.diff(r.theta_rate, axis=0, prepend=r.theta_rate[:1]), axis=1)
+        for k in np.flatnonzero(struck):
+            within = change[k * per : (k + 1) * per]
+            if within.max() > 5.0 * np.median(change):  # others are too small to be seen
+                found.append(1.0 - (within.argmax() + 1) / per - r.impulse_left[k, 0])
+    assert len(found) > 15
+    assert np.mean(np.abs(found) < 1e-9) > 0.9  # but where two fell into one step

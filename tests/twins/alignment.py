@@ -97,13 +97,12 @@ def transition(tape, dt, flexing, before, after):
     return F
 
 
-def process_noise(model, tape, dt, rules, noise, B, impulse):
+def process_noise(model, tape, dt, rules, noise, B):
     """Q (24, 24): the flexure's noise drives θ, θ̇ and V_r together (eq. 77, corrected)."""
     Q, gap = np.zeros((24, 24)), tape["gap"] * dt / model.samples_per_step
     Q[PHI, PHI] = (model.gyro_noise**2 * dt + (gap * GAP_RATE) ** 2) * np.eye(3)
     Q[DV, DV] = (model.accelerometer_noise**2 * dt + (gap * GAP_FORCE) ** 2) * np.eye(3)
     driven = rules.process * noise
-    driven[3:, 3:] += np.diag(impulse)
     G = np.zeros((24, 6))
     G[V_R], G[18:] = B, np.eye(6)
     if rules.cross:
@@ -133,7 +132,7 @@ def update(x, P, innovation, H, R, rules):
     return moved, (P + P.T) / 2.0, C
 
 
-def alignment(recording, tape, rules, flexures=None, impulse=None, disturbance=None):
+def alignment(recording, tape, rules, flexures=None):
     """Run the filter over a tape (K,): states, covariances, innovations, weights, NIS and so on.
 
     Args:
@@ -141,12 +140,8 @@ def alignment(recording, tape, rules, flexures=None, impulse=None, disturbance=N
         tape: its matching quantities.
         rules: one `Rules`, or one per step.
         flexures: flexure model of each step; the believed one by default.
-        impulse: (K, 3) variance of jumps of θ̇ per step.
-        disturbance: (K, 6) variance that adds to R.
     """
     model, dt, steps = recording.model, recording.step, len(tape)
-    impulse = np.zeros((steps, 3)) if impulse is None else impulse
-    disturbance = np.zeros((steps, 6)) if disturbance is None else disturbance
     flexures = [model.flexure] * steps if flexures is None else flexures
     rules = [rules] * steps if isinstance(rules, Rules) else rules
     L0 = -cross(model.lever_arm)
@@ -160,9 +155,9 @@ def alignment(recording, tape, rules, flexures=None, impulse=None, disturbance=N
         flexing, gain, noise = known[flexures[k]]
         before, B = B, lever_part(attitude(now["q_m"]), now["omega"], L0)
         F = transition(now, dt, flexing, before, B)
-        x, P = F @ x, F @ P @ F.T + process_noise(model, now, dt, rule, noise, B, impulse[k])
+        x, P = F @ x, F @ P @ F.T + process_noise(model, now, dt, rule, noise, B)
         density = 2.0 * flexures[k].damping * flexures[k].stiffness * flexures[k].sigma ** 2
-        R = np.repeat([rule.velocity_noise**2, model.rate_noise**2], 3) + disturbance[k]
+        R = np.repeat([rule.velocity_noise**2, model.rate_noise**2], 3)
         R[3:] += rule.process * density * dt / 3.0
         used = np.repeat([True, now["gap"] == 0], 3)
         z = np.concatenate([now["V_s"] - now["V_m"], now["w_s"] - now["w_m"]])[used]

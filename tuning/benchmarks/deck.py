@@ -43,6 +43,7 @@ def filtering(rounds: int) -> list[Row]:
         cost = _median(lambda n=name, p=parameters: PROBLEM.run(n, batch, p), rounds)
         wanted = "at most 6 µs" if name == "alignment_mcc" else "told"
         found.append(Row(f"{name}, one 24-state step", wanted, f"{cost / steps * 1e6:.2f} µs"))
+    found += banks(rounds)
     whole = _median(lambda: PROBLEM.run("alignment_mcc", batch), rounds) / len(batch)
     ready = _median(lambda: DeckBatch.of(recordings), rounds) / len(batch)
     made = _median(lambda: simulate_many("deck/paper", range(4)), rounds) / len(batch)
@@ -54,6 +55,30 @@ def filtering(rounds: int) -> list[Row]:
         Row("simulating 300 s at 100 Hz over mechanising and filtering it", "at most 1x",
             f"{made / both:.2f}x ({1e3 * made:.0f} against {1e3 * both:.0f} ms)"),
     ]  # fmt: skip
+
+
+def banks(rounds: int) -> list[Row]:
+    """Cost of the bank's step, four modes of 36 states each, over recordings and live."""
+    batch = DeckBatch.of(simulate_many("deck/switch-60", navgym.seeds("test", 2)))
+    steps, recording = int(batch.lengths.sum()), batch.recordings[0]
+    found = []
+    for name in ("deck_bank", "deck_bank_lever"):
+        cost = _median(lambda n=name: PROBLEM.run(n, batch), rounds)
+        told = f"{cost / steps * 1e6:.1f} µs"
+        found.append(Row(f"{name}, four modes, one step", "at most 30 µs", told))
+    live = navgym.LiveDeckBank(recording.model, interval=recording.interval)
+    samples = list(live.samples(recording))
+
+    def follow() -> None:
+        live.reset()
+        for sample, time, _ in samples:
+            live.step(sample, time=time)
+
+    cost = _median(follow, rounds) / recording.steps
+    return [
+        *found,
+        Row("the same live, five samples a step", "at most 60 µs", f"{cost * 1e6:.0f} µs"),
+    ]
 
 
 def _median(task: Any, rounds: int) -> float:

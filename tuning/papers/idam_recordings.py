@@ -31,11 +31,16 @@ def pendulum(folder: Path) -> Part:
         assert reference is not None
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of a few samples that were filled in
-            estimate = navgym.estimate("alignment", recording, {"velocity_noise": 3.0})
+            estimate, bank = (
+                navgym.estimate(name, recording, {"velocity_noise": 3.0})
+                for name in ("alignment", "deck_bank")
+            )
         assert estimate.attitude_error is not None
+        assert bank.attitude_error is not None
         first = len(estimate.time) // 10
         late = estimate.attitude_error[first:] / 60.0
         whole, moving = _length(late), _length(late - late.mean(axis=0))
+        others = bank.attitude_error[first:] / 60.0
         true = Rotation.from_quat(recording.at_steps(reference)[first:])
         swing = _length(np.degrees((true * true.mean().inv()).as_rotvec()))
         increments = flexure_increments(recording, Rotation.from_quat(reference[0].copy()))
@@ -50,6 +55,8 @@ def pendulum(folder: Path) -> Part:
                 f"{swing:.2f}",
                 f"{whole:.2f}",
                 f"{moving:.2f}",
+                f"{_length(others):.2f}",
+                f"{_length(others - others.mean(axis=0)):.2f}",
                 f"{frequency:.3f}",
                 f"{published}",
             ]
@@ -58,6 +65,7 @@ def pendulum(folder: Path) -> Part:
             "swing": swing,
             "rmse": whole,
             "rmse_without_offset": moving,
+            "deck_bank": _length(others),
             "frequency": frequency,
         }
     text = [
@@ -65,7 +73,10 @@ def pendulum(folder: Path) -> Part:
         "optical reference. The lever arm is unknown, so the velocities are given little weight (r_V = 3 m/s); both swing "
         "by tens of degrees, which is not what the flexure's model is made for."
     ]
-    head = ["trial", "relative motion", "RMSE", "without its mean", "λ by gyros, rad/s", "optical"]
+    head = [
+        "trial", "relative motion", "RMSE", "without its mean", "deck_bank", "without its mean",
+        "λ by gyros, rad/s", "optical",
+    ]  # fmt: skip
     caption = "Degrees, after the first tenth. The mean is the mounting about the swing axis, which planar motion does not show."
     return Part(
         Section("Real data: a pendulum", text, [Table(head, rows, caption)]), tuple(checks), found
@@ -81,10 +92,15 @@ def quadrotor(folder: Path) -> Part:
         expecting = with_flexure(recording, flexure)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of a heading that 20 s do not show
-            estimate = navgym.estimate("alignment", expecting, {"velocity_noise": 3.0})
+            estimate, bank = (
+                navgym.estimate(name, expecting, {"velocity_noise": 3.0})
+                for name in ("alignment", "deck_bank")
+            )
         theta = np.degrees(np.sqrt((estimate.theta**2).mean(axis=0)))
         own = np.degrees(np.sqrt(estimate.covariances[-1].diagonal()[THETA]))
-        rows.append([f"{degrees:g}", *(" / ".join(f"{v:.2f}" for v in x) for x in (theta, own))])
+        other = np.degrees(np.sqrt((bank.theta**2).mean(axis=0)))
+        shown = (theta, other, own)
+        rows.append([f"{degrees:g}", *(" / ".join(f"{v:.2f}" for v in x) for x in shown)])
         checks += [
             Check(f"{degrees:g} degrees expected, RMS of θ_{a}", 0.0, float(v), 0.0, float(o))
             for a, v, o in zip(AXES, theta, own, strict=True)
@@ -97,6 +113,7 @@ def quadrotor(folder: Path) -> Part:
     head = [
         "σ that the filter expects, degrees",
         "RMS of θ, x / y / z",
+        "the same by deck_bank",
         "the filter's own deviation",
     ]
     return Part(

@@ -166,6 +166,8 @@ def switching(size: DeckReproductionAmount) -> Part:
         "true-regime schedule": _scheduled(cases, SCHEDULE, 0.0),
         "same, 1 s late, fall-back 20": _scheduled(cases, LATE, 1.0),
         "same, 5 s late, fall-back 20": _scheduled(cases, LATE, 5.0),
+        "deck_bank": try_out(cases, "deck_bank"),
+        "deck_bank_lever": try_out(cases, "deck_bank_lever"),
         "oracle": try_out(cases, "oracle"),
     }
     base = trials["best fixed width"]
@@ -201,7 +203,8 @@ def switching(size: DeckReproductionAmount) -> Part:
     ]
     text = [
         f"Best fixed width on training seeds: {best:g}. The schedule is off in calm, swell and slam and 2 under glitches. "
-        "The oracle knows the true flexure, each slam and each glitch: a bound."
+        "`deck_bank` is told nothing and has no width; "
+        "`deck_bank_lever` takes the lever arm's error for a state and trusts the velocities more than anybody else here. The oracle knows the true flexure, each slam and each glitch: a bound."
     ]
     head = ["policy", "θ", "θ_ac", "θ̇", "attitude", "gain in θ, %", "θ_ac, %", "θ̇, %"]
     caption = f"{size.runs} paired test recordings of 480 s, scored from 60 s; lengths, arcmin and arcmin/s; gains over best fixed with 95 % intervals."
@@ -221,6 +224,7 @@ def sea_state(size: DeckReproductionAmount) -> Part:
     cases = size.cases("sea-state")
     trials = {
         "believed (calm)": try_out(cases, "alignment"),
+        "two, weighed (deck_bank)": try_out(cases, "deck_bank"),
         "true at each moment": try_out(cases, "oracle"),
     }
     for window in (60.0, 120.0):
