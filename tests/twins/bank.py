@@ -205,7 +205,9 @@ def bank(model, time, y, lost, chosen, structure, parameters=DEFAULT, axes=1):
             weight = np.exp(np.log(weight) + evidence - likelihood)
             before, since = (weight, means, Cs), t
             F, Q = np.eye(model.n), np.zeros((model.n, model.n))
-        log.add(*combined(weight, means, Cs, n), innovation, nis, likelihood)
+            log.add(*combined(weight, means, Cs, n), innovation, nis, likelihood)
+        else:  # what modes exchange changes no moment of the mixture; axes keep their own spreads
+            log.add(F @ x, P_prior, innovation, nis, likelihood)
         weights.append(weight)
     return log.arrays() | {"weights": np.stack(weights)}
 
