@@ -126,7 +126,8 @@ def bank(model, time, y, lost, chosen, structure, parameters=DEFAULT, axes=1):
     """The bank; with axes = 2 each mode keeps one covariance for both halves of the state.
 
     A mode is a list of means, one per axis, and one covariance C of a single axis. Where textbooks
-    add a spread d dᵀ to C, two axes add the mean of their two. From the first sample that the axes do
+    add a spread d dᵀ to C, two axes add the mean of their two. `S` is the covariance that it foretells
+    of a sample. From the first sample that the axes do
     not lose alike, the state is one.
     """
     q, r, scale_stay, regime_stay, rate = parameters
@@ -142,7 +143,7 @@ def bank(model, time, y, lost, chosen, structure, parameters=DEFAULT, axes=1):
         Cs.append(block(P0, start.B) if mode.motion == "bias" else P0)
     weight = modes.prior[modes.node] * modes.shares[modes.regime]
     weight = weight / weight.sum()
-    log, weights = Log(), []
+    log, weights, foreseen = Log(), [], []
     before, since = (weight, means, Cs), time[0] - 1.0
     F, Q = np.eye(model.n), np.zeros((model.n, model.n))  # of the motion since then
     for k, t in enumerate(time):
@@ -177,6 +178,7 @@ def bank(model, time, y, lost, chosen, structure, parameters=DEFAULT, axes=1):
             if mode.motion == "bias":
                 Hb = here.H[:, here.velocity]
                 wide += w * np.kron(np.eye(axes), Hb @ C[n:, n:] @ Hb.T)
+        foreseen.append(at(model.H, k) @ P_prior @ at(model.H, k).T + wide)
         innovation, nis, likelihood = judge(F @ x, P_prior, y[k], at(model.H, k), wide, got)
 
         if got.any():
@@ -209,7 +211,7 @@ def bank(model, time, y, lost, chosen, structure, parameters=DEFAULT, axes=1):
         else:  # what modes exchange changes no moment of the mixture; axes keep their own spreads
             log.add(F @ x, P_prior, innovation, nis, likelihood)
         weights.append(weight)
-    return log.arrays() | {"weights": np.stack(weights)}
+    return log.arrays() | {"weights": np.stack(weights), "S": np.stack(foreseen)}
 
 
 def kind(chosen, structure, b):
