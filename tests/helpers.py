@@ -10,6 +10,7 @@ import navgym
 from navgym.problem import PROBLEMS
 from navgym.statespace.batch import Batch, outputs
 from navgym.statespace.filters import bank
+from navgym.statespace.filters.modes import Structure, pack
 
 SIZES = ((1, 1), (2, 1), (4, 4), (8, 3))  # every (n, m) costs seconds of compilation once
 STEPS = 12
@@ -43,7 +44,7 @@ class Problem:
         return self.model, self.time, self.y, self.lost
 
     def alter(self, lost=None, time=None, y=None, **model):
-        names = ("F", "H", "Q", "R", "x0", "P0")
+        names = ("F", "H", "Q", "R", "x0", "P0", "position", "velocity")
         parts = {name: getattr(self.model, name) for name in names} | model
         return Problem(
             navgym.LinearModel(**parts),
@@ -121,18 +122,20 @@ def run_family(family, recording, parameters, option=0, interval=5):
     return {name: array[0] for name, array in found.items()} | {"lane": lanes[0]}
 
 
-def run_bank(recording, modes, axes, parameters=(1.0, 1.0, 0.995, 0.985, 0.2)):
+def run_bank(recording, chosen, axes, parameters=(1.0, 1.0, 0.995, 0.985, 0.2)):
     """Run any set of modes on the path of so many axes."""
     batch = Batch.of([recording])
     n, m = recording.model.n, recording.model.m
-    lanes = np.zeros(1, bank.lane_type(n, m, axes))
-    bank.begin(lanes, batch.models, modes, axes)
+    structure = Structure.of(batch)
+    modes, design = pack(chosen, structure, n)
+    noises = structure.noise(batch.models)
+    lanes = np.zeros(1, bank.lane_type(n, m))
+    bank.begin(lanes, batch.models, noises, design, np.array([axes]))
     found = outputs(batch, n, m, True)
-    found["weights"] = np.empty((1, len(recording), *modes.shape))
+    found["weights"] = np.empty((1, len(recording), modes.count))
     bank.run(
-        lanes, batch.models, bank.half(batch.models) if axes == 2 else batch.models, batch.y,
-        batch.lost, batch.time, np.array(parameters, dtype=float)[None, None], 5, modes.table(),
-        modes.shares(), modes.near, modes.loss_table(), *found.values(),
+        lanes, np.zeros(1, bank.work_type(n, m)), design, batch.models, noises, batch.y, batch.lost,
+        batch.time, np.array(parameters, dtype=float)[None, None], 5, *found.values(),
     )  # fmt: skip
     return {name: array[0] for name, array in found.items()} | {"lane": lanes[0]}
 

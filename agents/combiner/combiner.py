@@ -28,8 +28,8 @@ from navgym.problem import Problem, Run
 from navgym.statespace import run as statespace
 from navgym.statespace.batch import Batch
 from navgym.statespace.filters import combiner as kernels
-from navgym.statespace.filters.bank import MODE_SETS, ModeSet
 from navgym.statespace.filters.catalogue import CATALOGUE
+from navgym.statespace.filters.modes import MODE_SETS, ModeSet
 from navgym.statespace.recording import Recording
 
 KIND = "navgym combiner"
@@ -49,7 +49,7 @@ class Combiner(Frozen):
         b: (3 H,) their biases.
         U: (H, 3 H) weights of the units before.
         c: (3 H,) their biases.
-        V: (H, A + B) weights of the outputs: a log-weight per R scale and per regime.
+        V: (H, A + B) weights of the outputs: a log-weight per node and per regime.
         d: (A + B,) their biases.
         bank: modes and parameters of the bank that it was trained on, see `bank_facts`; those of
             this navgym by default.
@@ -93,7 +93,7 @@ class Combiner(Frozen):
         """Run over one recording.
 
         Innovations, NIS and log-likelihood are the bank's own; `extras["weights"]` holds the new
-        weights (T, R scales, regimes).
+        weights of the modes (T, J).
 
         Args:
             recording: with the default model's size: 4 states, 4 measurements.

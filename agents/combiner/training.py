@@ -56,11 +56,13 @@ class Network:
         from torch import nn
 
         self.shift, self.gain = (torch.from_numpy(a.astype(np.float32)) for a in (shift, gain))
-        self.shape = modes().shape
+        own = kernels.modes_of(modes())
+        self.node, self.regime = torch.from_numpy(own.node), torch.from_numpy(own.regime)
+        self.nodes, self.moved = len(own.prior), sum(kernels.moved_by(modes()))
         self.layers = nn.ModuleDict(
             {
                 "gru": nn.GRU(len(shift), units, batch_first=True),
-                "out": nn.Linear(units, sum(self.shape)),
+                "out": nn.Linear(units, self.moved),
             }
         )
         for parameter in self.layers["out"].parameters():
@@ -83,8 +85,7 @@ class Network:
         hidden, h = self.layers["gru"](u, h)
         assert h is not None
         a = kernels.BOUND * torch.tanh(self.layers["out"](hidden) / kernels.BOUND)
-        scales, regimes = a[..., : self.shape[0]], a[..., self.shape[0] :]
-        return (scales[..., :, None] + regimes[..., None, :]).flatten(-2), h
+        return a[..., self.node] + a[..., self.nodes + self.regime], h
 
     def combiner(self, training: Mapping[str, Any]) -> Combiner:
         """The portable combiner of this network."""

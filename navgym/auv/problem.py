@@ -97,7 +97,7 @@ STEERING = Steering(
         for tau in (10.0, 2.0)
     ),
     measures=("rmse",),
-    beside=("kf", "imm", "imm_wide", "bank", "bank_bursts"),
+    beside=("kf", "imm", "imm_wide", "bank", "bank_2026"),
     amount=Amount(200, 40, 40, 300),
     quick=Amount(8, 8, 8, 20),
     quick_overrides={"steps": 200},
@@ -151,7 +151,7 @@ CONTEST = Contest(
         Rival("imm", "imm", about="6 Kalman filters over R and Q, weighed by how well they predict", adapts=True),
         Rival("imm_wide", "imm_wide", about="13 Kalman filters over R and Q, likewise", adapts=True),
         Rival("bank", "bank", about="24 Kalman filters over R and regimes; nothing in it was learnt", adapts=True),
-        Rival("bank_bursts", "bank_bursts", about="the bank with a regime more, which loses samples in bursts: a loss is evidence", adapts=True),
+        Rival("bank_2026", "bank_2026", about="the bank as it was first: 24 filters, one R scale for all sensors", adapts=True),
         Rival("oracle", "oracle", about="told the true noise of every sample: a bound", bound=True),
     ),
     hand_rule=lazy("navgym.auv.rule:CovarianceMatching"),

@@ -26,6 +26,7 @@ class Batch:
         truth: (N, T, n) true states, NaN past a recording's end, or None.
         lengths: (N,) samples of each.
         position: the states that are a position.
+        velocity: the states that are a velocity; none where recordings differ.
         sensors: of each measurement component, (m,), see `LinearModel`; none where recordings differ.
         axes: of each state, (n,), likewise.
         recordings: what was stacked.
@@ -39,6 +40,7 @@ class Batch:
     truth: Array | None
     lengths: NDArray[np.int64]
     position: tuple[int, ...]
+    velocity: tuple[int, ...]
     sensors: tuple[str, ...]
     axes: tuple[str, ...]
     recordings: tuple[Recording, ...] = ()
@@ -58,9 +60,9 @@ class Batch:
             raise ValueError(
                 f"recordings must share one model size, got {sorted(sizes)}: split them."
             )
-        positions, sensors, axes = (
+        positions, velocities, sensors, axes = (
             {tuple(getattr(r.model, name)) for r in recordings}
-            for name in ("position", "sensors", "axes")
+            for name in ("position", "velocity", "sensors", "axes")
         )
         if len(positions) > 1:
             raise ValueError(f"recordings must agree on their position states, got {positions}.")
@@ -86,6 +88,7 @@ class Batch:
             truth=np.stack([_pad(r.truth, longest, np.nan) for r in recordings]) if known else None,
             lengths=lengths,
             position=positions.pop(),
+            velocity=velocities.pop() if len(velocities) == 1 else (),
             sensors=sensors.pop() if len(sensors) == 1 else (),
             axes=axes.pop() if len(axes) == 1 else (),
             recordings=tuple(recordings),

@@ -19,7 +19,7 @@ from navgym.auv.scenarios import Loss
 from navgym.simulation import simulate_many
 from navgym.statespace.batch import Batch
 from navgym.statespace.filters import combiner as kernels
-from navgym.statespace.filters.bank import BANK
+from navgym.statespace.filters.modes import BANK
 from navgym.tuning.cases import Cases
 from tests.agents.both import run
 from tests.agents.hand_made import forged
@@ -29,6 +29,8 @@ from tests.twins import bank as twin
 UNITS = 48  # the usual number: another one would compile another kernel
 PRETRAINED = Path(__file__).resolve().parents[2] / "agents" / "pretrained" / "combiner"
 CHOSEN = (1.0, 1.0, 0.995, 0.985, 0.2)  # the bank's parameters
+MODES = kernels.modes_of(BANK)
+NODES, MOVED = kernels.moved_by(BANK)[0], sum(kernels.moved_by(BANK))
 
 
 def network(seed=0, size=0.3):
@@ -59,33 +61,24 @@ def altered(recording, **changes):
 # ---- what it computes
 
 
-def read(recording, weights):
-    """The network's inputs (T, D), from the bank's weights (T, A, B) and the model alone."""
-    model, lost = recording.model, recording.lost
-    table = twin.listed(BANK)
-    q = np.array([mode[1] for mode in table])
-    r = np.array([mode[0] * (1.0 + mode[2] * CHOSEN[4] * 99.0) for mode in table])
-    states, P_all = (
-        navgym.estimate("bank", recording).__dict__[n] for n in ("states", "covariances")
-    )
-    before = np.zeros(4)
-    found = []
-    last, x, P = np.array([mode[3] for mode in table]), model.x0, model.P0
-    F, Q, silent = np.eye(4), np.zeros((4, 4)), 0
-    for k in range(len(recording)):
-        got = ~lost[k]
-        F, Q, silent = model.F @ F, model.F @ Q @ model.F.T + model.Q, silent + 1
-        age = 1.0 + 0.2 * (silent - 1)
-        mixed = last @ twin.transition(BANK, CHOSEN[2] ** age, CHOSEN[3] ** age)
-        S = F @ P @ F.T + (mixed @ q) * Q + (mixed @ r) * model.R
-        z = np.zeros(4)
+def marginals(weights):
+    """Weights of the nodes and of the regimes, (T, A + B), from those of the modes (T, J)."""
+    nodes = [weights[:, MODES.node == a].sum(1) for a in range(NODES)]
+    regimes = [weights[:, MODES.regime == b].sum(1) for b in range(MOVED - NODES)]
+    return np.stack(nodes + regimes, axis=1)
+
+
+def read(recording, axes):
+    """The network's inputs (T, D), by the textbook's bank."""
+    parts = recording.model, recording.time, recording.measurements, recording.lost
+    bank = twin.bank(*parts, BANK, kernels.STRUCTURE, CHOSEN, axes)
+    logs = np.log(1e-4 + marginals(bank["weights"]))
+    before, found = np.zeros(4), []
+    for k, got in enumerate(~recording.lost):
+        row = [*logs[k], got.mean()]
         if got.any():
-            v = recording.measurements[k] - F @ x
-            last, x, P = weights[k].ravel(), states[k], P_all[k]
-            F, Q, silent = np.eye(4), np.zeros((4, 4)), 0
-            z[got] = np.linalg.solve(np.linalg.cholesky(S[np.ix_(got, got)]), v[got])
-        row = [*np.log(1e-4 + weights[k].sum(1)), *np.log(1e-4 + weights[k].sum(0)), got.mean()]
-        if got.any():
+            z, S = np.zeros(4), bank["S"][k][np.ix_(got, got)]
+            z[got] = np.linalg.solve(np.linalg.cholesky(S), bank["innovations"][k, got])
             products = [z[0] * before[0] + z[2] * before[2], z[1] * before[1] + z[3] * before[3]]
             products += [z[0] * z[1] + z[2] * z[3]]
             row += [math.log(0.01 + z[0] ** 2 + z[2] ** 2), math.log(0.01 + z[1] ** 2 + z[3] ** 2)]
@@ -99,7 +92,7 @@ def read(recording, weights):
 
 
 def moved(combiner, inputs):
-    """Log-weights (T, A, B) that the network adds, by the equations of its module."""
+    """Log-weights (T, J) that the network adds, by the equations of its module."""
     h, found = np.zeros(UNITS), []
     for row in inputs:
         u = np.clip((row - combiner.shift) * combiner.gain, -kernels.CLIP, kernels.CLIP)
@@ -111,7 +104,7 @@ def moved(combiner, inputs):
         n = np.tanh(now[2] + r * past[2])
         h = n + z * (h - n)
         a = kernels.BOUND * np.tanh((h @ combiner.V + combiner.d) / kernels.BOUND)
-        found.append(a[:8, None] + a[None, 8:])
+        found.append(a[MODES.node] + a[NODES + MODES.regime])
     return np.array(found)
 
 
@@ -120,11 +113,11 @@ LOSSES = {"auv/switch-B": Loss(0.2), "auv/component-loss": Loss(0.3, per_compone
 
 @pytest.mark.parametrize("scenario", LOSSES)
 def test_weights_are_those_of_the_equations(scenario):
-    recording = navgym.simulate(scenario, 7, steps=120, loss=LOSSES[scenario])
+    recording = navgym.simulate(scenario, 7, steps=30, loss=LOSSES[scenario])
     combiner = network()
     bank = navgym.estimate("bank", recording).extras["weights"]
-    wanted = bank * np.exp(moved(combiner, read(recording, bank)))
-    wanted /= wanted.sum((1, 2), keepdims=True)
+    wanted = bank * np.exp(moved(combiner, read(recording, 2)))
+    wanted /= wanted.sum(1, keepdims=True)
     found = combiner.estimate(recording).extras["weights"]
     assert np.abs(found - bank).max() > 0.1
     np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-11)
@@ -135,9 +128,13 @@ def test_the_estimate_is_the_mixture_of_the_banks_modes_under_the_new_weights(sc
     recording = navgym.simulate(scenario, 3, steps=60)
     lane = run_bank(recording, BANK, axes, CHOSEN)["lane"]
     found = network().estimate(recording)
-    weights = found.extras["weights"][-1].ravel()
-    means = np.swapaxes(lane["mean"], 1, 2).reshape(len(lane["mean"]), 4)[: len(weights)]
-    blocks = [np.kron(np.eye(axes), C) for C in lane["cov"][: len(weights)]]
+    assert not recording.lost[-1].all()
+    weights = found.extras["weights"][-1]
+    p, J = 4 // axes, len(weights)
+    means = lane["after"]["mean"][:4, :J].reshape(p, axes, J).transpose(2, 1, 0).reshape(J, 4)
+    lower = np.tril(np.moveaxis(lane["after"]["cov"][:p, :p, :J], -1, 0))
+    both = lower + np.swapaxes(np.tril(lower, -1), 1, 2)
+    blocks = [np.kron(np.eye(axes), C) for C in both]
     x = weights @ means
     P = sum(
         w * (C + np.outer(m - x, m - x)) for w, C, m in zip(weights, blocks, means, strict=True)
@@ -165,7 +162,7 @@ def test_no_weight_moves_further_than_the_bound():
     shift = np.log(found[usual] / bank[usual])
     assert np.abs(shift).max() > kernels.BOUND
     assert np.abs(shift).max() <= 4 * kernels.BOUND  # two for the mode, two for the others' sum
-    np.testing.assert_allclose(found.sum((1, 2)), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(found.sum(1), 1.0, rtol=1e-12)
 
 
 def test_the_fast_hyperbolic_tangent_is_one():
@@ -279,11 +276,11 @@ def test_its_arrays_cannot_be_changed():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"W": np.full((18, 3 * UNITS), np.nan)}, "W must be finite, got nan"),
-        ({"V": np.full((UNITS, 11), 1e300)}, "V must be finite, got inf"),
+        ({"W": np.full((MOVED + 7, 3 * UNITS), np.nan)}, "W must be finite, got nan"),
+        ({"V": np.full((UNITS, MOVED), 1e300)}, "V must be finite, got inf"),
         ({"b": np.zeros(7)}, r"b must have shape \(144,\)"),
         ({"U": np.zeros(3)}, r"U must have shape \(H, 3 H\)"),
-        ({"d": ["a"] * 11}, "d must be an array of numbers"),
+        ({"d": ["a"] * MOVED}, "d must be an array of numbers"),
     ],
 )
 def test_arrays_that_are_no_network_are_refused(change, message):

@@ -11,7 +11,18 @@ import navgym
 from navgym.simulation import simulate_many
 from navgym.statespace.batch import Batch
 from navgym.statespace.filters import kalman
-from navgym.statespace.filters.bank import BANK, IMM, IMM_WIDE, MODE_SETS, ModeSet, separable
+from navgym.statespace.filters.bank import separable
+from navgym.statespace.filters.modes import (
+    BANK,
+    BANK_2026,
+    IMM,
+    IMM_WIDE,
+    MODE_SETS,
+    Modes,
+    ModeSet,
+    Node,
+    Regime,
+)
 from tests.helpers import (
     problems,
     random_model,
@@ -25,11 +36,30 @@ from tests.helpers import (
 from tests.twins import bank as twin
 
 FULL, SHARED = 1, 2
-SCALES = (0.3, 3.0, 40.0)
-GRID = ModeSet(SCALES, ((1.0, 1.0, 50.0),) * 3, (False, True, False), (4.0, 2.0, 1.0), 0.2)
-BURSTS = dataclasses.replace(GRID, losses=(None, None, (0.1, 0.8)))
-ALONE = ModeSet((1.0,), ((1.0,),))
-ALIKE = ModeSet((1.0,) * 6, ((1.0,),) * 6)
+EVEN = tuple(Node(s, s) for s in (0.3, 3.0, 6.0, 40.0))
+GRID = ModeSet(
+    EVEN,
+    (
+        Regime("calm", 4.0),
+        Regime("manoeuvre", 1.0, process=50.0),
+        Regime("outliers", 2.0, outliers=True),
+    ),
+    near=0.2,
+)
+PARTLY = ModeSet(
+    (*EVEN, Node(1.0, 0.1, prior=0.3), Node(20.0, 1.0, prior=0.3)),
+    (
+        Regime("calm", 4.0),
+        Regime("manoeuvre", 0.5, 2.0, process=50.0, nodes=((0.3, 0.3), (3.0, 3.0))),
+        Regime("late", 0.5, 0.7, motion="late", nodes=((1.0, 0.1),)),
+        Regime("outliers", 2.0, outliers=True, nodes=((0.3, 0.3), (40.0, 40.0), (20.0, 1.0))),
+        Regime("velocity error", 0.3, 0.5, motion="bias", nodes=((3.0, 3.0), (1.0, 0.1))),
+    ),
+    near=0.2,
+    outliers=((0.6, 100.0, 100.0), (0.4, 50.0, 1.0)),
+)
+ALONE = ModeSet((Node(1.0, 1.0),))
+ALIKE = ModeSet((Node(1.0, 1.0),) * 6)
 
 
 @st.composite
@@ -55,60 +85,71 @@ def twins(draw, steps=12):
     return random_problem(rng, model, lost)
 
 
+@st.composite
+def moving(draw, alike, steps=8):
+    """Velocities that move positions, both measured: two axes alike, or turned into each other."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    F, Q, R, P0, H = [], [], [], [], []
+    for _ in range(1 if alike else 2):
+        dt = rng.uniform(0.1, 3.0)
+        F.append([[1.0, dt], [0.0, rng.uniform(0.8, 1.0)]])
+        Q.append(spd(rng, 2, 10.0 ** rng.integers(-3, 1)))
+        R.append(np.diag(10.0 ** rng.uniform(-2, 1, 2)))
+        P0.append(spd(rng, 2))
+        H.append(np.diag(10.0 ** rng.uniform(-0.5, 0.5, 2)))
+    whole = {
+        name: np.kron(np.eye(2), parts[0]) if alike else twin.block(*map(np.array, parts))
+        for name, parts in (("F", F), ("Q", Q), ("R", R), ("P0", P0), ("H", H))
+    }
+    if not alike:
+        c, s = np.cos(1.0), np.sin(1.0)
+        whole["H"] = np.kron(np.array([[c, s], [-s, c]]), np.eye(2)) @ whole["H"]
+    lost = rng.random((steps, 4)) < draw(st.sampled_from([0.0, 0.3, 0.7]))
+    if alike:
+        lost[:, 2:] = lost[:, :2]
+    model = navgym.LinearModel(**whole, x0=rng.standard_normal(4), position=(0, 2), velocity=(1, 3))
+    return random_problem(rng, model, lost)
+
+
 def agree(found, wanted):
     same(found, wanted, 1e-9)
-    np.testing.assert_allclose(found["weights"], wanted["weights"], rtol=1e-8, atol=1e-14)
+    np.testing.assert_allclose(found["weights"], wanted["weights"], rtol=1e-8, atol=1e-12)
 
 
-@pytest.mark.parametrize("modes", [GRID, BURSTS])
+def by_twin(problem, modes, chosen, axes):
+    return twin.bank(*problem.parts, modes, twin.structure_of(problem.model), chosen, axes)
+
+
 @given(problem=problems(sizes=((2, 1), (8, 3))), chosen=leaks())
-def test_whole_state_agrees_with_the_textbook(modes, problem, chosen):
-    found = run_bank(problem.recording, modes, FULL, chosen)
-    agree(found, twin.bank(*problem.parts, modes, *chosen))
-
-
-@pytest.mark.parametrize("modes", [GRID, BURSTS])
-@given(problem=twins(), chosen=leaks())
-def test_shared_covariance_agrees_with_its_twin(modes, problem, chosen):
-    found = run_bank(problem.recording, modes, SHARED, chosen)
-    agree(found, twin.bank(*problem.parts, modes, *chosen, axes=2))
+def test_whole_state_agrees_with_the_textbook(problem, chosen):
+    agree(run_bank(problem.recording, GRID, FULL, chosen), by_twin(problem, GRID, chosen, FULL))
 
 
 @given(problem=twins(), chosen=leaks())
-def test_losses_tell_nothing_where_all_regimes_lose_alike(problem, chosen):
-    """Nor does it matter that rows are steps then, as long as something is received in each."""
-    alike = [dataclasses.replace(GRID, losses=(law,) * 3) for law in (None, (0.2, 0.6))]
-    same(*(run_bank(problem.recording, modes, SHARED, chosen) for modes in alike))
+def test_shared_covariance_agrees_with_its_twin(problem, chosen):
+    agree(run_bank(problem.recording, GRID, SHARED, chosen), by_twin(problem, GRID, chosen, SHARED))
+
+
+@given(problem=moving(alike=False), chosen=leaks())
+def test_lags_errors_and_outliers_agree_with_the_textbook(problem, chosen):
+    found = run_bank(problem.recording, PARTLY, FULL, chosen)
+    agree(found, by_twin(problem, PARTLY, chosen, FULL))
+
+
+@given(problem=moving(alike=True), chosen=leaks())
+def test_lags_errors_and_outliers_of_a_shared_covariance_agree_with_their_twin(problem, chosen):
+    found = run_bank(problem.recording, PARTLY, SHARED, chosen)
+    agree(found, by_twin(problem, PARTLY, chosen, SHARED))
+
+
+@given(problem=moving(alike=True), chosen=leaks(), data=st.data())
+def test_axes_that_part_go_on_as_one_state(problem, chosen, data):
     lost = problem.lost.copy()
-    lost[lost.all(1), ::2] = False
-    heard = problem.alter(lost=lost).recording
-    same(*(run_bank(heard, modes, SHARED, chosen) for modes in (GRID, alike[1])))
-
-
-def test_a_burst_of_losses_is_told_from_independent_ones():
-    """The same number of losses, in two bursts or spread evenly."""
-    bursts = np.zeros(200, bool)
-    bursts[[*range(60, 80), *range(140, 160)]] = True
-    spread = np.zeros(200, bool)
-    spread[::5] = True
-    weight = {}
-    for name, lost in (("bursts", bursts), ("spread", spread)):
-        y = navgym.simulate("auv/nominal", 3, steps=200, loss=0.0).measurements
-        recording = navgym.Recording(np.arange(200.0), y, lost, model=navgym.LinearModel())
-        found = navgym.estimate("bank_bursts", recording)
-        weight[name] = found.extras["weights"].sum(1)[:, 3]
-    assert weight["bursts"][150] > 0.9
-    assert weight["spread"].max() < 0.3
-
-
-def test_losses_as_evidence_help_where_a_regime_loses_in_bursts_and_cost_nothing_elsewhere():
-    def mean_error(name, scenario):
-        batch = Batch.of(simulate_many(scenario, range(9000, 9150)))
-        errors = ((run(name, batch).states - batch.truth)[..., [0, 2]] ** 2).sum(-1)
-        return np.sqrt(errors.mean(1)).mean()
-
-    for scenario, most in (("auv/switch-B", 0.995), ("auv/switch-D", 1.002)):
-        assert mean_error("bank_bursts", scenario) < most * mean_error("bank", scenario)
+    k = data.draw(st.integers(0, len(lost) - 1))
+    lost[k, 0] = not lost[k, 0]
+    problem = problem.alter(lost=lost)
+    found = run_bank(problem.recording, PARTLY, SHARED, chosen)
+    agree(found, by_twin(problem, PARTLY, chosen, SHARED))
 
 
 @pytest.mark.parametrize("name", MODE_SETS)
@@ -116,16 +157,21 @@ def test_losses_as_evidence_help_where_a_regime_loses_in_bursts_and_cost_nothing
     ("scenario", "axes"), [("auv/component-loss", FULL), ("auv/switch-B", SHARED)]
 )
 def test_names_mean_their_modes_and_take_the_path_that_applies(name, scenario, axes):
-    recording = navgym.simulate(scenario, 4, steps=40)
+    recording = navgym.simulate(scenario, 4, steps=12)
+    lost = recording.lost.copy()
+    lost[0] = (
+        [True, False, False, False] if axes == FULL else False
+    )  # apart from the start, or never
+    recording = dataclasses.replace(recording, lost=lost)
     chosen = (2.0, 3.0, 0.98, 0.95, 0.1) if name.startswith("bank") else (2.0, 3.0, 0.98, 1.0, 0.0)
     wanted = twin.bank(
         recording.model, recording.time, recording.measurements, recording.lost, MODE_SETS[name],
-        *chosen, axes=axes,
+        twin.structure_of(recording.model), chosen, axes=axes,
     )  # fmt: skip
     space = navgym.parameter_space(name)
     found = navgym.estimate(name, recording, dict(zip(space.names, chosen, strict=False)))
     same(vars(found), wanted)
-    np.testing.assert_allclose(found.extras["weights"], wanted["weights"], rtol=1e-8, atol=1e-14)
+    np.testing.assert_allclose(found.extras["weights"], wanted["weights"], rtol=1e-8, atol=1e-12)
 
 
 @pytest.mark.parametrize("axes", [FULL, SHARED])
@@ -134,12 +180,12 @@ def test_one_mode_is_the_kalman_filter(axes, problem):
     found = run_bank(problem.recording, ALONE, axes)
     wanted = run_family(kalman, problem.recording, (1.0, 1.0, 1.0))
     same(found, {name: wanted[name] for name in wanted if name != "lane"}, 1e-10)
-    np.testing.assert_array_equal(found["weights"], 1.0)
+    np.testing.assert_allclose(found["weights"], 1.0, rtol=1e-12)
 
 
 @given(problem=twins())
 def test_one_mode_keeps_its_weight_whatever_leaks_to_neighbours(problem):
-    near = ModeSet((1.0,), ((1.0,),), near=0.5)
+    near = ModeSet((Node(1.0, 1.0),), near=0.5)
     found = run_bank(problem.recording, near, SHARED, (1.0, 1.0, 0.8, 1.0, 0.0))
     np.testing.assert_allclose(found["weights"], 1.0, rtol=1e-12)
 
@@ -166,7 +212,7 @@ def test_shared_covariance_costs_less_than_two_in_a_thousand():
 def test_weights_are_probabilities(problem, chosen):
     weights = run_bank(problem.recording, GRID, FULL, chosen)["weights"]
     assert weights.min() >= 0.0
-    np.testing.assert_allclose(weights.sum((1, 2)), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(weights.sum(1), 1.0, rtol=1e-12)
 
 
 @given(problem=problems(sizes=((2, 1), (8, 3)), varying=False), chosen=leaks())
@@ -175,7 +221,8 @@ def test_mixing_and_losing_keep_the_moments_of_the_mixture(problem, chosen):
     lost = problem.lost.copy()
     lost[5], lost[6:] = False, True
     found = run_bank(problem.alter(lost=lost).recording, GRID, FULL, chosen)
-    model, process = problem.model, np.array(GRID.process) * chosen[0]
+    model = problem.model
+    process = Modes.of(GRID, twin.structure_of(model)).table()[:, 0] * chosen[0]
     x, P, Q = found["states"][5], found["covariances"][5], np.zeros_like(model.Q)
     for k in range(6, len(lost)):
         x, P, Q = (model.F @ x, *(model.F @ A @ model.F.T for A in (P, Q)))
@@ -191,23 +238,68 @@ def test_weights_drift_to_the_prior_while_nothing_is_received():
     y = np.random.default_rng(0).standard_normal((4000, 4))
     recording = navgym.Recording(np.arange(4000.0), y, np.arange(4000) > 20, model=model)
     weights = run_bank(recording, GRID, SHARED, (1.0, 1.0, 0.9, 0.9, 0.2))["weights"][-1]
-    np.testing.assert_allclose(weights.sum(0), np.array([4, 2, 1]) / 7, rtol=1e-3)
+    regimes = weights.reshape(3, len(EVEN)).sum(1)  # calm, manoeuvre, outliers
+    np.testing.assert_allclose(regimes, np.array([4, 1, 2]) / 7, rtol=1e-3)
 
 
-@pytest.mark.parametrize("modes", [BANK, IMM, IMM_WIDE])
-def test_transitions_are_stochastic(modes):
-    T = twin.transition(modes, 0.97, 0.9)
+@pytest.mark.parametrize("chosen", [*MODE_SETS.values(), PARTLY])
+def test_transitions_are_stochastic(chosen):
+    modes = Modes.of(chosen, twin.structure_of(navgym.LinearModel()))
+    T, stay = twin.transition(chosen, modes, 0.97, 0.9)
     np.testing.assert_allclose(T.sum(1), 1.0)
+    assert (stay <= np.diag(T) + 1e-12).all()
+
+
+def modes_of(chosen, model=None):
+    return Modes.of(chosen, twin.structure_of(model or navgym.LinearModel()))
 
 
 def test_the_banks_are_those_of_the_science_page():
-    r, q, outliers, prior = BANK.table().T
-    assert sorted(set(r)) == [0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0]
-    kinds = list(zip(q, outliers, strict=True))
-    assert kinds == [(1.0, 0.0), (1.0, 1.0), (100.0, 0.0)] * 8
-    np.testing.assert_allclose(prior.reshape(8, 3).sum(0), np.array([4, 2, 1]) / 7)
-    assert len(IMM.table()) == 6
-    assert len(IMM_WIDE.table()) == 13
+    old = modes_of(BANK_2026)
+    assert sorted(set(old.scales[:, 0])) == [0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0]
+    assert [(r.process, r.outliers) for r in old.regimes] == [(1, False), (100, False), (1, True)]
+    np.testing.assert_allclose(old.shares, np.array([4, 1, 2]) / 7)
+    assert [modes_of(chosen).count for chosen in (IMM, IMM_WIDE, BANK_2026, BANK)] == [
+        6, 13, 24, 69,
+    ]  # fmt: skip
+
+
+def test_what_a_model_cannot_show_has_no_mode():
+    """Without velocities, or with rows that mix them with positions, nothing can be late or uneven."""
+    whole = modes_of(BANK)
+    assert {r.motion for r in whole.regimes} == {"model", "late", "bias"}
+    mixing = navgym.LinearModel(dt=1.0, H=np.eye(4) + 0.1 * np.eye(4, k=1))
+    for model in (
+        navgym.simulate("auv/position-only", 0).model,
+        mixing,
+        navgym.LinearModel(F=np.eye(3)),
+    ):
+        modes = modes_of(BANK, model)
+        assert {r.motion for r in modes.regimes} == {"model"}
+        assert (modes.scales == modes.scales[:, :1]).all()
+        assert modes.count == 10 + 10 + 3 + 10 + 6
+
+
+def test_sensors_that_measure_the_same_have_scales_of_their_own():
+    """Two receivers and a log: a mode knows either receiver to be worse, and finds which."""
+    H = np.eye(4)[[0, 2, 0, 2, 1, 3]]
+    names = ("gps", "gps", "usbl", "usbl", "dvl", "dvl")
+    model = navgym.LinearModel(dt=1.0, H=H, R=np.eye(6), sensors=names)
+    modes = modes_of(BANK, model)
+    alone = modes.scales[(modes.scales != 1.0).sum(1) == 2]
+    assert {tuple(row) for row in alone} >= {(10, 10, 1, 1, 1, 1), (1, 1, 30, 30, 1, 1)}
+    rng = np.random.default_rng(5)
+    truth = navgym.simulate("auv/nominal", 5, loss=0.0).truth[:300]
+    noise = rng.standard_normal((300, 6)) * np.array([1, 1, 4, 4, 1, 1])
+    recording = navgym.Recording(
+        np.arange(1.0, 301.0), truth @ H.T + noise, truth=truth, model=model
+    )
+    found = navgym.estimate("bank", recording)
+    believed = found.extras["weights"][100:] @ np.log(modes.scales[modes.node])
+    gps, usbl, dvl = np.exp(believed.mean(0))[[0, 2, 4]]
+    assert gps < 2.0
+    assert dvl < 2.0
+    assert 8.0 < usbl < 32.0  # of 16
 
 
 def test_an_outlier_hardly_moves_the_bank():

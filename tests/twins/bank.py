@@ -1,46 +1,78 @@
 """The interacting-multiple-model filter of the textbooks, with a J x J transition matrix.
 
-Blom & Bar-Shalom 1988: mix, predict, update, combine. Modes multiply Q and R; a mode with outliers
-updates twice, under R and 100 R, and is collapsed to the moments of the two. Where the modes say how
-their regimes lose samples, losing one or not is a likelihood like any other, and every row is a step.
-Otherwise a step leads from one received sample to the next, by all the motion in between, and a row
-without a measurement is where a step from the last received sample would lead.
+Blom & Bar-Shalom 1988: mix, predict, update, combine; a step leads from one received sample to the
+next, by all the motion in between, and a row without a measurement is where a step from the last
+received sample would lead. A mode whose velocity sensor has an error carries it as further states; in a
+mode with outliers every kind of outlier is an update of its own, and all are collapsed to their moments.
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import logsumexp
 
+from navgym.statespace.filters.modes import Modes, Structure
 from tests.twins.gaussian import Log, at, judge
 
-OUTLIER_SCALE = 100.0
 LOST_LEAK = 0.2
-LOST_BEFORE = (1.0, 19.0)
+DEFAULT = (1.0, 1.0, 0.995, 0.985, 0.2)
 
 
-def transition(modes, scale_stay, regime_stay):
-    """P(mode j now | mode i before), modes in row-major order of (R scale, regime)."""
-    A, B = modes.shape
-    scale = scale_stay * np.eye(A) + (1 - scale_stay) * (1 - modes.near) / A
-    for i in range(A):
-        neighbours = [j for j in (i - 1, i + 1) if 0 <= j < A]
-        for j in neighbours:
-            scale[i, j] += (1 - scale_stay) * modes.near / len(neighbours)
-    prior = np.array(modes.prior) / sum(modes.prior)
-    regime = regime_stay * np.eye(B) + (1 - regime_stay) * np.tile(prior, (B, 1))
-    return np.kron(scale, regime)
+@dataclass
+class Mode:
+    """One mode: scales of R by row, of Q, its regime, and whether it has outliers or a bias."""
+
+    node: int
+    regime: int
+    rows: np.ndarray
+    q: float
+    motion: str
+    outliers: bool
 
 
 def listed(modes):
-    """(R scale, Q scale, outliers, first weight) of each mode."""
-    A, B = modes.shape
-    prior = np.array(modes.prior) / sum(modes.prior)
     return [
-        (modes.scales[a], modes.process[a][b], modes.outliers[b], prior[b] / A)
-        for a in range(A)
-        for b in range(B)
-    ]
+        Mode(
+            a, b, modes.scales[a], modes.regimes[b].process * modes.process[a],
+            modes.regimes[b].motion, modes.regimes[b].outliers,
+        )
+        for a, b in zip(modes.node, modes.regime, strict=True)
+    ]  # fmt: skip
+
+
+def chains(chosen, modes, scale_stay, regime_stay, age):
+    """Transition matrices of the nodes and of the regimes over `age` seconds, and what stays."""
+    A = len(modes.prior)
+    spread = np.tile(modes.prior, (A, 1))
+    for a in range(A):
+        near = [
+            other
+            for other in (a - 1, a + 1)
+            if 0 <= other < A and modes.process[a] == modes.process[other]
+            and np.abs(np.log(modes.scales[a] / modes.scales[other])).max() <= 1.25
+        ]  # fmt: skip
+        if near:
+            spread[a] *= 1.0 - chosen.near
+            spread[a, near] += chosen.near / len(near)
+    node_stay = scale_stay**age
+    regime_stays = np.array(
+        [max(1.0 - r.leak * (1.0 - regime_stay), 0.0) ** age for r in modes.regimes]
+    )
+    prior = np.array([r.prior for r in modes.regimes])
+    nodes = node_stay * np.eye(A) + (1.0 - node_stay) * spread
+    regimes = np.diag(regime_stays) + np.outer(1.0 - regime_stays, prior / prior.sum())
+    assert np.allclose(nodes.sum(1), 1.0)
+    assert np.allclose(regimes.sum(1), 1.0)
+    return nodes, regimes, node_stay * regime_stays
+
+
+def transition(chosen, modes, scale_stay, regime_stay, age=1.0):
+    """P(mode j now | mode i before), and of each mode the chance that neither chain has leaked."""
+    nodes, regimes, stays = chains(chosen, modes, scale_stay, regime_stay, age)
+    T = nodes[np.ix_(modes.node, modes.node)] * regimes[np.ix_(modes.regime, modes.regime)]
+    total = T.sum(1)
+    return T / total[:, None], stays[modes.regime] / total
 
 
 def aged(seconds):
@@ -48,137 +80,222 @@ def aged(seconds):
     return min(seconds, 1.0) + LOST_LEAK * max(seconds - 1.0, 0.0)
 
 
-def bank(
-    model, time, y, lost, modes, q=1.0, r=1.0, scale_stay=0.995, regime_stay=0.985, rate=0.2,
-    axes=1,
-):  # fmt: skip
+class World:
+    """One axis of a model at a sample, as a mode sees it: its states, then velocity sensors' errors."""
+
+    def __init__(self, chosen, structure, model, k, axes, F, Q, dt):
+        self.n, self.s = model.n // axes, model.m // axes
+        pairs = len(structure.velocity) // axes
+        self.velocity = list(structure.velocity[:pairs])
+        self.position = list(structure.position[:pairs])
+        self.F, self.Q = F[: self.n, : self.n], Q[: self.n, : self.n]
+        self.H, self.R = at(model.H, k)[: self.s, : self.n], at(model.R, k)[: self.s, : self.s]
+        self.fade = math.exp(-dt / chosen.memory)
+        self.T = np.eye(self.n)
+        self.T[self.position, self.velocity] = chosen.lag
+        rows = [i for i in range(self.s) if structure.velocities[i]]
+        h = self.H[np.ix_(rows, self.velocity)]
+        if self.velocity:
+            self.B = np.linalg.inv(h.T @ np.linalg.inv(self.R[np.ix_(rows, rows)]) @ h)
+
+    def size(self, mode):
+        return self.n + (len(self.velocity) if mode.motion == "bias" else 0)
+
+    def moved(self, mode, mean, C):
+        """Mean (size, axes) and covariance after the motion."""
+        Q = mode.q * (self.T @ self.Q @ self.T.T if mode.motion == "late" else self.Q)
+        F = self.F
+        if mode.motion == "bias":
+            F, Q = block(F, self.fade * np.eye(len(self.B))), block(Q, (1 - self.fade**2) * self.B)
+        return F @ mean, F @ C @ F.T + Q
+
+    def seen(self, mode):
+        """What the rows measure."""
+        H = self.H
+        return np.hstack([H, H[:, self.velocity]]) if mode.motion == "bias" else H
+
+
+def block(a, b):
+    n = len(a)
+    whole = np.zeros((n + len(b), n + len(b)))
+    whole[:n, :n], whole[n:, n:] = a, b
+    return whole
+
+
+def bank(model, time, y, lost, chosen, structure, parameters=DEFAULT, axes=1):
     """The bank; with axes = 2 each mode keeps one covariance for both halves of the state.
 
     A mode is a list of means, one per axis, and one covariance C of a single axis. Where textbooks
-    add a spread d dᵀ to C, two axes add the mean of their two.
+    add a spread d dᵀ to C, two axes add the mean of their two. `S` is the covariance that it foretells
+    of a sample. From the first sample that the axes do
+    not lose alike, the state is one.
     """
+    q, r, scale_stay, regime_stay, rate = parameters
+    modes = Modes.of(chosen, structure)
     table = listed(modes)
-    J, n = len(table), model.n // axes
-    weight = np.array([mode[3] for mode in table])
-    means = np.tile(model.x0.reshape(axes, n), (J, 1, 1))
-    C = np.tile(model.P0[:n, :n], (J, 1, 1))
-    log, weights = Log(), []
-    history, rate_of_loss = [False], Rate()
-    before, since = (weight, means, C), time[0] - 1.0  # as the last step's start left the modes
+    n = model.n // axes
+    start = World(chosen, structure, model, 0, axes, np.eye(model.n), np.eye(model.n), 0.0)
+    means = [np.zeros((start.size(mode), axes)) for mode in table]
+    Cs = []
+    for mode, mean in zip(table, means, strict=True):
+        mean[:n] = model.x0.reshape(axes, n).T
+        P0 = model.P0[:n, :n]
+        Cs.append(block(P0, start.B) if mode.motion == "bias" else P0)
+    weight = modes.prior[modes.node] * modes.shares[modes.regime]
+    weight = weight / weight.sum()
+    log, weights, foreseen = Log(), [], []
+    before, since = (weight, means, Cs), time[0] - 1.0
     F, Q = np.eye(model.n), np.zeros((model.n, model.n))  # of the motion since then
     for k, t in enumerate(time):
-        H, R = at(model.H, k), at(model.R, k)
+        R, got = at(model.R, k), ~lost[k]
+        if axes == 2 and (got[: model.m // 2] != got[model.m // 2 :]).any():
+            weight, means, Cs = before
+            before = weight, [joined(m, n) for m in means], [doubled(C, n) for C in Cs]
+            axes, n = 1, model.n
         F, Q = at(model.F, k) @ F, at(model.F, k) @ Q @ at(model.F, k).T + q * at(model.Q, k)
-        f, g = F[:n, :n], Q[:n, :n]
-        s = model.m // axes
-        h, noise = H[:s, :n], R[:s, :s]
-        got, here = ~lost[k], ~lost[k, :s]
-        x, P = combined(*before)
+        here = World(chosen, structure, model, k, axes, F, Q, t - since)
+        s = here.s
+        x, P = combined(*before, n)
+        T, stay = transition(chosen, modes, scale_stay, regime_stay, aged(t - since))
+        weight, means, Cs = mixed(T, stay, *before, table, here)
+        moved = [here.moved(*each) for each in zip(table, means, Cs, strict=True)]
+        means, Cs = [m for m, _ in moved], [C for _, C in moved]
 
-        age = aged(t - since)
-        T = transition(modes, scale_stay**age, regime_stay**age)
-        weight, means, C = mixed(T, *before)
-        if modes.losses:
-            chances = rate_of_loss.chances(modes.losses, history[-1], not got.any())
-            weight = weight * np.tile(chances, len(modes.scales))
-            weight = weight / weight.sum()
-            rate_of_loss.learn(modes.losses, weight.reshape(modes.shape), not got.any())
-            history.append(not got.any())
-        means = means @ f.T
-        C = np.array([f @ c @ f.T + mode[1] * g for c, mode in zip(C, table, strict=True)])
-
-        mean_q = sum(w * mode[1] for w, mode in zip(weight, table, strict=True))
-        outlying = [1 + mode[2] * rate * (OUTLIER_SCALE - 1) for mode in table]
-        mean_r = sum(w * mode[0] * o for w, mode, o in zip(weight, table, outlying, strict=True))
-        P_prior = F @ P @ F.T + mean_q * Q
-        innovation, nis, likelihood = judge(F @ x, P_prior, y[k], H, r * mean_r * R, got)
+        wide = np.zeros((model.m, model.m))
+        P_prior = F @ P @ F.T
+        for w, mode, C in zip(weight, table, Cs, strict=True):
+            root = np.sqrt(np.tile(mode.rows[:s], axes))
+            grown = 1.0
+            own = np.outer(root, root)
+            if mode.outliers:
+                grown = 1.0 - rate
+                factors = [np.sqrt(kind(chosen, structure, b)) for b in range(len(chosen.outliers))]
+                more = zip(chosen.outliers, factors, strict=True)
+                grown = grown + rate * sum(o[0] * np.outer(f, f) for o, f in more)
+            wide += w * r * R * own * grown
+            motion = World.moved(here, mode, np.zeros((len(C), axes)), 0 * C)[1][:n, :n]
+            P_prior = P_prior + w * np.kron(np.eye(axes), motion)
+            if mode.motion == "bias":
+                Hb = here.H[:, here.velocity]
+                wide += w * np.kron(np.eye(axes), Hb @ C[n:, n:] @ Hb.T)
+        foreseen.append(at(model.H, k) @ P_prior @ at(model.H, k).T + wide)
+        innovation, nis, likelihood = judge(F @ x, P_prior, y[k], at(model.H, k), wide, got)
 
         if got.any():
-            evidence = np.empty(J)
+            evidence = np.empty(len(table))
             for j, mode in enumerate(table):
-                odds = [1.0 - rate, rate] if mode[2] and rate > 0 else [1.0]
-                branches = [
-                    axis_update(
-                        means[j], C[j], y[k].reshape(axes, s), h, here, r * mode[0] * c * noise
-                    )
-                    for c in (1.0, OUTLIER_SCALE)[: len(odds)]
-                ]
-                shares = np.array([math.log(o) + b[2] for o, b in zip(odds, branches, strict=True)])
+                odds = [(1.0, np.ones(model.m))]
+                if mode.outliers and rate > 0:
+                    odds = [(1.0 - rate, np.ones(model.m))]
+                    for b, outlier in enumerate(chosen.outliers):
+                        odds.append((rate * outlier[0], kind(chosen, structure, b)))
+                found = []
+                for _, factor in odds:
+                    root = np.sqrt(mode.rows[:s] * factor[:s])
+                    noise = r * here.R * np.outer(root, root)
+                    found.append(axis_update(
+                        means[j], Cs[j], y[k].reshape(axes, s), here.seen(mode), got[:s], noise
+                    ))  # fmt: skip
+                shares = np.array([math.log(o[0]) + f[2] for o, f in zip(odds, found, strict=True)])
                 evidence[j] = logsumexp(shares)
                 shares = np.exp(shares - evidence[j])
-                means[j] = sum(p * b[0] for p, b in zip(shares, branches, strict=True))
-                C[j] = sum(
-                    p * (b[1] + spread(b[0] - means[j]))
-                    for p, b in zip(shares, branches, strict=True)
+                means[j] = sum(p * f[0] for p, f in zip(shares, found, strict=True))
+                Cs[j] = sum(
+                    p * (f[1] + spread(f[0] - means[j])) for p, f in zip(shares, found, strict=True)
                 )
             likelihood = logsumexp(np.log(weight) + evidence)
             weight = np.exp(np.log(weight) + evidence - likelihood)
-        if got.any() or modes.losses:
-            before, since = (weight, means, C), t
+            before, since = (weight, means, Cs), t
             F, Q = np.eye(model.n), np.zeros((model.n, model.n))
-        log.add(*combined(weight, means, C), innovation, nis, likelihood)
-        weights.append(weight.reshape(modes.shape))
-    return log.arrays() | {"weights": np.stack(weights)}
+            log.add(*combined(weight, means, Cs, n), innovation, nis, likelihood)
+        else:  # what modes exchange changes no moment of the mixture; axes keep their own spreads
+            log.add(F @ x, P_prior, innovation, nis, likelihood)
+        weights.append(weight)
+    return log.arrays() | {"weights": np.stack(weights), "S": np.stack(foreseen)}
 
 
-class Rate:
-    """Rate of independent losses, from its Beta prior and the samples of regimes that share it."""
-
-    def __init__(self):
-        self.lost, self.received = LOST_BEFORE
-
-    def chances(self, losses, before, now):
-        """Likelihood, regime by regime, of losing the sample (`now`) after `before`."""
-        mean = self.lost / (self.lost + self.received)
-        chance = np.array([mean if pair is None else pair[int(before)] for pair in losses])
-        return chance if now else 1 - chance
-
-    def learn(self, losses, weight, now):
-        share = sum(weight[:, b].sum() for b, pair in enumerate(losses) if pair is None)
-        if now:
-            self.lost += share
-        else:
-            self.received += share
+def kind(chosen, structure, b):
+    """Factors on the rows' R of the b-th kind of outlier."""
+    _, position, velocity = chosen.outliers[b]
+    return np.where(structure.velocities, velocity, position)
 
 
 def spread(d):
-    """Mean over the axes of d dᵀ, for the offsets d (axes, n) of a mean."""
-    return d.T @ d / len(d)
+    """Mean over the axes of d dᵀ, for the offsets d (size, axes) of a mean."""
+    return d @ d.T / d.shape[1]
 
 
-def mixed(T, weight, means, C):
-    """Mixed initial conditions: μ_ij = P(mode i before | mode j now)."""
+def mixed(T, stay, weight, means, Cs, table, here):
+    """Mixed initial conditions: μ_ij = P(mode i before | mode j now).
+
+    A velocity sensor's error belongs to the stay in a mode: who comes in has drawn a new one.
+    """
+    n = here.n
     now = weight @ T
-    mu = weight[:, None] * T / now
-    new_means = np.einsum("ij,iag->jag", mu, means)
-    new_C = np.array([
-        sum(mu[i, j] * (C[i] + spread(means[i] - new_means[j])) for i in range(len(C)))
-        for j in range(len(C))
-    ])  # fmt: skip
-    return now, new_means, new_C
+    mixed_means, mixed_Cs = [], []
+    for j, mode in enumerate(table):
+        parts = []
+        for i in range(len(table)):
+            mu = weight[i] * T[i, j] / now[j]
+            if i == j and mode.motion == "bias":
+                kept = weight[j] * stay[j] / now[j]
+                parts.append((kept, means[j], Cs[j]))
+                mu -= kept
+            mean, C = means[i][:n], Cs[i][:n, :n]
+            if mode.motion == "bias":
+                mean = np.vstack([mean, np.zeros((len(here.B), mean.shape[1]))])
+                C = block(C, here.B)
+            parts.append((mu, mean, C))
+        mean = sum(mu * m for mu, m, _ in parts)
+        mixed_means.append(mean)
+        mixed_Cs.append(sum(mu * (C + spread(m - mean)) for mu, m, C in parts))
+    return now, mixed_means, mixed_Cs
 
 
-def axis_update(means, C, y, h, here, noise):
+def axis_update(mean, C, y, h, here, noise):
     """Update of each axis by its own measurements; the log-densities of the axes add up."""
-    total, updated, posterior = 0.0, means.copy(), C
+    total, updated, posterior = 0.0, mean.copy(), C
     if here.any():
         h, noise = h[here], noise[np.ix_(here, here)]
         S = h @ C @ h.T + noise
         K = C @ h.T @ np.linalg.inv(S)
         rest = np.eye(len(C)) - K @ h
         posterior = rest @ C @ rest.T + K @ noise @ K.T
-        for g in range(len(means)):
-            v = y[g, here] - h @ means[g]
-            updated[g] = means[g] + K @ v
+        for g in range(mean.shape[1]):
+            v = y[g, here] - h @ mean[:, g]
+            updated[:, g] = mean[:, g] + K @ v
             total -= 0.5 * (v @ np.linalg.solve(S, v) + np.linalg.slogdet(2 * math.pi * S)[1])
     return updated, posterior, total
 
 
-def combined(weight, means, C):
+def combined(weight, means, Cs, n):
     """Mean and covariance of the mixture over the whole state."""
-    flat = means.reshape(len(means), -1)
+    flat = np.array([mean[:n].T.ravel() for mean in means])
     x = weight @ flat
-    P = np.kron(np.eye(means.shape[1]), np.einsum("j,jab->ab", weight, C))
+    axes = means[0].shape[1]
+    P = np.kron(np.eye(axes), sum(w * C[:n, :n] for w, C in zip(weight, Cs, strict=True)))
     for w, mean in zip(weight, flat, strict=True):
         P = P + w * np.outer(mean - x, mean - x)
     return x, P
+
+
+def joined(mean, n):
+    """Means (size, 2) of two axes as those (2 size, 1) of one state: states, then errors."""
+    return np.concatenate([mean[:n].T.ravel(), mean[n:].T.ravel()])[:, None]
+
+
+def doubled(C, n):
+    """The covariance of one axis as that of both."""
+    order = np.argsort([g * 0.1 + (i >= n) for g in range(2) for i in range(len(C))], kind="stable")
+    return np.kron(np.eye(2), C)[np.ix_(order, order)]
+
+
+def structure_of(model):
+    """What a bank knows of a model: see `Structure`."""
+    from navgym.statespace.batch import Batch
+    from navgym.statespace.recording import Recording
+
+    steps = model.steps or 1
+    rows = np.zeros((steps, model.m))
+    recording = Recording(np.arange(1.0, steps + 1.0), rows, rows == 0, model=model)
+    return Structure.of(Batch.of([recording]))

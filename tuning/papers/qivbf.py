@@ -9,6 +9,7 @@ from navgym.tuning.papers import qivbf_figures as figures
 from navgym.tuning.papers import qivbf_findings as findings
 from navgym.tuning.papers.amounts import ReproductionAmount
 from navgym.tuning.papers.part import Part, page, results
+from navgym.tuning.papers.seas import seas
 
 __all__ = ["FULL", "QUICK", "Part", "ReproductionAmount", "auv", "page", "results"]
 
@@ -29,6 +30,7 @@ def auv(size: ReproductionAmount, seed: int, out: Path, folder: Path | None) -> 
     yield findings.losses(size)
     yield findings.headroom(size, seed, out)
     yield findings.bank(size)
+    yield seas(size, folder)
     yield findings.turn(size)
     if folder is not None:
         yield findings.tracks(size, folder)

@@ -1,7 +1,7 @@
 """A learned combiner on a frozen bank: a recurrent network that weighs the bank's modes anew.
 
 The bank (`navgym.statespace.filters.bank`) runs as it is. After each of its steps a gated recurrent unit (Cho
-et al. 2014) reads how the weights are spread over R scales and regimes, how well the sample was
+et al. 2014) reads how the weights are spread over nodes and regimes, how well the sample was
 predicted, and what was lost; it moves the log-weight of each R scale and of each regime. The
 estimate is the mixture of the same modes under the new weights. Nothing flows back into the bank:
 a bad network can spoil an answer, but never the filter, and no log-weight moves by more than
@@ -10,7 +10,7 @@ twice `BOUND`.
     u = clip((inputs − shift) ∘ gain)
     r = σ(W_r u + b_r + U_r h + c_r)    n = tanh(W_n u + b_n + r ∘ (U_n h + c_n))
     z = σ(W_z u + b_z + U_z h + c_z)    h = n + z ∘ (h − n)
-    a = BOUND tanh((V h + d) / BOUND)   w'_jg ∝ w_jg exp(a_j + a_g)    (R scale j, regime g)
+    a = BOUND tanh((V h + d) / BOUND)   w'_jg ∝ w_jg exp(a_j + a_g)    (node j, regime g)
 
 Inner loops run over units, and so become vector instructions in which each sum keeps its order.
 """
@@ -35,13 +35,14 @@ from navgym.statespace.filters.bank import (
     PROCESS,
     REGIME_STAY,
     SCALE_STAY,
-    ModeSet,
     run_lanes,
     step,
 )
 from navgym.statespace.filters.lane import receive, report
+from navgym.statespace.filters.modes import MODE_SETS, Modes, ModeSet, Structure
+from navgym.statespace.filters.modes import pack as pack_modes
 
-BOUND = 5.0  # of what is added to the log-weight of one R scale or one regime
+BOUND = 5.0  # of what is added to the log-weight of one node or one regime
 CLIP = 8.0  # of a normalised input
 FLOOR = 1e-4  # added to a marginal weight: below it all are alike
 UNITS = 48  # usual number of hidden units
@@ -53,16 +54,32 @@ RESIDUALS = (
 ARRAYS = ("shift", "gain", "W", "b", "U", "c", "V", "d")
 
 
-def input_names(modes: ModeSet) -> tuple[str, ...]:
-    """What the network reads on a bank of `modes`, in order."""
-    scales = tuple(f"log weight of R x {scale:g}" for scale in modes.scales)
-    regimes = tuple(f"log weight of regime {g}" for g in range(modes.shape[1]))
-    return scales + regimes + RESIDUALS
+# two axes, of each a position and a velocity, all of them measured
+STRUCTURE = Structure((False, True) * 2, (0, 1, 0, 1), True, (0, 2), (1, 3))
 
 
-def shapes(modes: ModeSet, units: int) -> dict[str, tuple[int, ...]]:
+def modes_of(chosen: ModeSet) -> Modes:
+    """The modes of a bank whose weights a network can read."""
+    return Modes.of(chosen, STRUCTURE)
+
+
+def input_names(chosen: ModeSet) -> tuple[str, ...]:
+    """What the network reads on a bank of `chosen` modes, in order."""
+    modes = modes_of(chosen)
+    nodes = tuple(f"log weight of R x {p:g}, {v:g}" for p, v in modes.scales[:, :2])
+    regimes = tuple(f"log weight of {regime.name}" for regime in modes.regimes)
+    return nodes + regimes + RESIDUALS
+
+
+def moved_by(chosen: ModeSet) -> tuple[int, int]:
+    """How many log-weights a network moves: of nodes and of regimes."""
+    modes = modes_of(chosen)
+    return len(modes.prior), len(modes.regimes)
+
+
+def shapes(chosen: ModeSet, units: int) -> dict[str, tuple[int, ...]]:
     """Shapes of a network's `ARRAYS` with so many hidden units."""
-    read, wide, moved = len(input_names(modes)), 3 * units, sum(modes.shape)
+    read, wide, moved = len(input_names(chosen)), 3 * units, sum(moved_by(chosen))
     return {
         "shift": (read,), "gain": (read,), "W": (read, wide), "b": (wide,), "U": (units, wide),
         "c": (wide,), "V": (units, moved), "d": (moved,),
@@ -84,9 +101,15 @@ def idle(modes: ModeSet) -> NDArray[Any]:
 
 
 def fits(batch: Batch) -> bool:
-    """Whether a network can read a bank on this batch: linear models of the right size."""
-    linear = "H" in (batch.models.dtype.names or ())
-    return linear and (batch.models.dtype["x0"].shape[0], batch.y.shape[2]) == (STATES, MEASURED)
+    """Whether a network can read a bank on this batch: models that tell it what it was taught."""
+    if "H" not in (batch.models.dtype.names or ()):
+        return False
+    if batch.models.dtype["x0"].shape != (STATES,) or batch.y.shape[2] != MEASURED:
+        return False
+    found = Structure.of(batch)
+    return (found.velocities, found.position, found.velocity, found.moving) == (
+        STRUCTURE.velocities, STRUCTURE.position, STRUCTURE.velocity, True,
+    ) and len(Modes.of(MODE_SETS["bank"], found).prior) == moved_by(MODE_SETS["bank"])[0]  # fmt: skip
 
 
 def memory_type(read: int, units: int, moved: int, modes: int) -> np.dtype[Any]:
@@ -100,7 +123,9 @@ def memory_type(read: int, units: int, moved: int, modes: int) -> np.dtype[Any]:
             ("now", f8, (3 * units,)),
             ("past", f8, (3 * units,)),
             ("factor", f8, (moved,)),
+            ("bank", f8, (modes,)),
             ("weight", f8, (modes,)),
+            ("off", f8, (STATES,)),
             ("x", f8, (STATES,)),
             ("P", f8, (STATES, STATES)),
         ]
@@ -130,15 +155,16 @@ def estimate(
     count, steps = batch.y.shape[:2]
     found: dict[str, Any] = outputs(batch, STATES, MEASURED, everything)
     read, units = network["W"].shape[1], network["U"].shape[1]
-    J = len(modes.table())
+    own, design = pack_modes(modes, STRUCTURE, STATES)
+    J, moved = own.count, len(own.prior) + len(own.regimes)
     watched = steps if watch else 0
-    found["weights"] = np.full((count, steps if everything else 0, *modes.shape), np.nan)
+    found["weights"] = np.full((count, steps if everything else 0, J), np.nan)
     found["inputs"] = np.full((count, watched, read), np.nan)
     found["means"] = np.full((count, watched, J, STATES), np.nan)
     found["bank_weights"] = np.full((count, watched, J), np.nan)
-    kind = memory_type(read, units, sum(modes.shape), J)
+    kind = memory_type(read, units, moved, J)
     found["memories"] = np.zeros(count, kind)
-    lanes = run_lanes(partial(run, network), batch, table, 1, modes, found)
+    lanes = run_lanes(partial(run, network), batch, table, 1, STRUCTURE, design, found)
     del found["memories"]
     if not watch:
         for name in ("inputs", "means", "bank_weights"):
@@ -164,19 +190,19 @@ def signed_root(x):
 
 
 @part
-def look(lane, memory, received):
+def look(lane, work, design, memory, received):
     """Write the network's inputs: log marginals of the weights, residuals, what was received."""
-    A, B = lane.grid[0], lane.grid[1]
-    for a in range(A):
-        s = FLOOR
-        for b in range(B):
-            s += lane.weight[a * B + b]
-        memory.input[a] = math.log(s)
+    A, B = design.nodes, design.regimes
+    for a in range(A + B):
+        memory.input[a] = FLOOR
     for b in range(B):
-        s = FLOOR
-        for a in range(A):
-            s += lane.weight[a * B + b]
-        memory.input[A + b] = math.log(s)
+        for j in range(design.begin[b], design.begin[b + 1]):
+            w = lane.after.weight[j] if received > 0 else work.before.weight[j]
+            memory.bank[j] = w
+            memory.input[design.node[j]] += w
+            memory.input[A + b] += w
+    for a in range(A + B):
+        memory.input[a] = math.log(memory.input[a])
     m = lane.y.shape[0]
     half, at = m // 2, A + B
     memory.input[at] = received / m
@@ -230,56 +256,66 @@ def think(network, memory):
 
 
 @part
-def reweigh(lane, memory):
+def reweigh(lane, work, design, memory, received):
     """The modes' new weights, and the mean of the mixture; NaN where the bank failed."""
-    A, B = lane.grid[0], lane.grid[1]
-    _, p, axes = lane.mean.shape
-    failed = lane.diverged == NUMERICAL
+    axes, A = lane.axes, design.nodes
+    p = memory.x.shape[0] // axes
     total = 0.0
-    for a in range(A):
-        for b in range(B):
-            j = a * B + b
-            memory.weight[j] = lane.weight[j] * (memory.factor[a] * memory.factor[A + b])
-            total += memory.weight[j]
-    for j in range(A * B):
+    for b in range(design.regimes):
+        for j in range(design.begin[b], design.begin[b + 1]):
+            w = memory.bank[j] * (memory.factor[design.node[j]] * memory.factor[A + b])
+            memory.weight[j] = w
+            total += w
+    for j in range(design.modes):
         memory.weight[j] /= total
     for g in range(axes):
         for i in range(p):
-            s = math.nan if failed else 0.0
-            for j in range(A * B):
-                s += memory.weight[j] * lane.mean[j, i, g]
+            s = math.nan if lane.diverged == NUMERICAL else 0.0
+            for j in range(design.modes):
+                s += memory.weight[j] * mean_of(lane, work, received, i * axes + g, j)
             memory.x[g * p + i] = s
 
 
 @part
-def spread(lane, memory):
+def mean_of(lane, work, received, row, j):
+    """Row of mode j's mean, after a sample or at a row without one."""
+    return lane.after.mean[row, j] if received > 0 else work.before.mean[row, j]
+
+
+@part
+def spread(lane, work, design, memory, received):
     """Covariance of the mixture under the new weights; NaN where the bank failed."""
-    _, p, axes = lane.mean.shape
-    n = memory.x.shape[0]
+    axes, n = lane.axes, memory.x.shape[0]
+    p = n // axes
     for i in range(n):
         for k in range(n):
             memory.P[i, k] = 0.0
-    for j in range(lane.grid[0] * lane.grid[1]):
+    for j in range(design.modes):
         w = memory.weight[j]
-        for g in range(axes):
-            for i in range(p):
-                for k in range(p):
-                    memory.P[g * p + i, g * p + k] += w * lane.cov[j, i, k]
-                d = lane.mean[j, i, g] - memory.x[g * p + i]
-                for h in range(axes):
-                    for k in range(p):
-                        s = d * (lane.mean[j, k, h] - memory.x[h * p + k])
-                        memory.P[g * p + i, h * p + k] += w * s
+        for r in range(n):
+            memory.off[(r % axes) * p + r // axes] = mean_of(lane, work, received, r, j)
+        for i in range(n):
+            memory.off[i] -= memory.x[i]
+        for i in range(n):
+            for k in range(n):
+                s = memory.off[i] * memory.off[k]
+                if i // p == k // p:
+                    a, b = max(i % p, k % p), min(i % p, k % p)
+                    if received > 0:
+                        s += lane.after.cov[a, b, j]
+                    else:
+                        s += work.before.cov[a, b, j]
+                memory.P[i, k] += w * s
 
 
 @kernel
 def run(
-    networks, lanes, models, smalls, y, lost, time, parameters, interval, modes, prior, near, losses,
+    networks, lanes, works, designs, models, noises, y, lost, time, parameters, interval,
     states, covariances, innovations, nis, log_likelihoods, weights, inputs, means, bank_weights,
     memories,
 ):  # fmt: skip
     """Filter every series with the bank, and weigh its modes anew after each sample."""
-    network = networks[0]
+    network, work, design = networks[0], works[0], designs[0]
     for i in range(lanes.shape[0]):
         lane, memory = lanes[i], memories[i]
         row = min(i, parameters.shape[0] - 1)
@@ -288,43 +324,44 @@ def run(
             chosen = parameters[row, min(k // interval, parameters.shape[1] - 1)]
             received = receive(lane, y, lost, i, k)
             step(
-                lane, models[i, now], smalls[i, now], modes, prior, near, losses, time[i, k],
-                received, chosen[PROCESS], chosen[MEASUREMENT], chosen[SCALE_STAY], chosen[REGIME_STAY],
-                chosen[OUTLIER_RATE],
+                lane, work, design, models[i, now],
+                noises[min(i, noises.shape[0] - 1), min(k, noises.shape[1] - 1)], time[i, k],
+                received, chosen[PROCESS], chosen[MEASUREMENT], chosen[SCALE_STAY],
+                chosen[REGIME_STAY], chosen[OUTLIER_RATE],
             )  # fmt: skip
-            look(lane, memory, received)
+            look(lane, work, design, memory, received)
             think(network, memory)
-            reweigh(lane, memory)
+            reweigh(lane, work, design, memory, received)
             report(lane, i, k, states, covariances, innovations, nis, log_likelihoods)
-            replace(lane, memory, i, k, states, covariances, weights)
+            replace(lane, work, design, memory, received, i, k, states, covariances, weights)
             if inputs.shape[1] > 0:
-                show(lane, memory, i, k, inputs, means, bank_weights)
+                show(lane, work, design, memory, received, i, k, inputs, means, bank_weights)
 
 
 @part
-def replace(lane, memory, i, k, states, covariances, weights):
+def replace(lane, work, design, memory, received, i, k, states, covariances, weights):
     """Write the new estimate over the bank's own."""
     n = memory.x.shape[0]
     for a in range(n):
         states[i, k, a] = memory.x[a]
     if covariances.shape[1] > 0:
-        spread(lane, memory)
+        spread(lane, work, design, memory, received)
         for a in range(n):
             for b in range(n):
                 covariances[i, k, a, b] = memory.P[a, b]
-        B = weights.shape[3]
-        for j in range(lane.grid[0] * lane.grid[1]):
-            weights[i, k, j // B, j % B] = memory.weight[j]
+        for j in range(design.modes):
+            weights[i, k, j] = memory.weight[j]
 
 
 @part
-def show(lane, memory, i, k, inputs, means, bank_weights):
+def show(lane, work, design, memory, received, i, k, inputs, means, bank_weights):
     """Write what the network reads, and what it weighs."""
-    _, p, axes = lane.mean.shape
+    n, axes = memory.x.shape[0], lane.axes
+    p = n // axes
     for a in range(memory.input.shape[0]):
         inputs[i, k, a] = memory.input[a]
-    for j in range(lane.grid[0] * lane.grid[1]):
-        bank_weights[i, k, j] = lane.weight[j]
-        for g in range(axes):
-            for a in range(p):
-                means[i, k, j, g * p + a] = lane.mean[j, a, g]
+    for j in range(design.modes):
+        bank_weights[i, k, j] = memory.bank[j]
+        for r in range(n):
+            row = (r % axes) * p + r // axes
+            means[i, k, j, row] = mean_of(lane, work, received, r, j)
