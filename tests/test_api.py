@@ -44,7 +44,7 @@ FUNCTIONS = {
 }
 FILTERS = (
     "kf", "kf_zero", "kf_hold", "kf_extrapolate", "vbakf", "qivbf", "qivbf_printed", "imm",
-    "imm_wide", "bank", "bank_bursts", "oracle", "cukf", "ukf", "ckf", "ekf",
+    "imm_wide", "bank", "bank_2026", "oracle", "cukf", "ukf", "ckf", "ekf",
 )  # fmt: skip
 
 

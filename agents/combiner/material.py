@@ -75,7 +75,7 @@ class CombinerConfiguration:
     """of Adam, at the start; it falls to nothing along a cosine"""
     interval: int = 20
     """rounds between validations; each also writes a checkpoint"""
-    memory: float = 2.0
+    memory: float = 4.0
     """GB that the training material may take"""
     seed: int = 0
     """of everything random"""

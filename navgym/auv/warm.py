@@ -8,8 +8,9 @@ from typing import Any
 
 from navgym.problem import PROBLEMS
 from navgym.statespace.batch import Batch
-from navgym.statespace.filters import bank, combiner
+from navgym.statespace.filters import combiner
 from navgym.statespace.filters.catalogue import CATALOGUE
+from navgym.statespace.filters.modes import MODE_SETS
 from navgym.warm import brief, play, stream
 
 SCENARIOS = ("nominal", "position-only", "component-loss", "coordinated-turn")
@@ -47,5 +48,5 @@ def filter_one(name: str, scenario: str) -> None:
     auv.run(name, batch, everything=True)
     if CATALOGUE[name].family == "bank" and combiner.fits(batch):
         table = CATALOGUE["bank"].space.array()[None]
-        modes = bank.MODE_SETS["bank"]
-        combiner.estimate(combiner.idle(modes), modes, batch, table, everything=True)
+        chosen = MODE_SETS["bank"]
+        combiner.estimate(combiner.idle(chosen), chosen, batch, table, everything=True)

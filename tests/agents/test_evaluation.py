@@ -38,8 +38,8 @@ from navgym.core.seeds import split_of
 from navgym.problem import problem_of
 from navgym.simulation import simulate_many
 from navgym.statespace.batch import Batch
-from navgym.statespace.filters.bank import MODE_SETS
 from navgym.statespace.filters.combiner import shapes
+from navgym.statespace.filters.modes import MODE_SETS
 from navgym.tuning.comparison import Comparison, Entry, rows_of
 from navgym.tuning.report import page as report
 from tests.agents import hand_made
@@ -49,7 +49,7 @@ from tests.agents.both import AUV, DECK, run
 WRONG_MODEL = {"process_scale": 20.0, "steps": 150, "loss": 0.0}
 SMALL = Extent(quick=True, runs=8, draws=1)
 A6 = (
-    "default", "hand rule", "best fixed", "true-regime table", "imm", "imm_wide", "bank", "bank_bursts", "oracle",
+    "default", "hand rule", "best fixed", "true-regime table", "imm", "imm_wide", "bank", "bank_2026", "oracle",
 )  # fmt: skip
 
 
@@ -123,7 +123,7 @@ def test_a_policy_that_diverges_is_not_better_and_has_no_gain():
     assert failures([found]) == [
         "bad is not better than the best fixed parameters on switch-D, steps=300: it diverges."
     ]
-    assert set(verdict.ahead) == {"hand rule", "imm", "imm_wide", "bank", "bank_bursts"}
+    assert set(verdict.ahead) == {"hand rule", "imm", "imm_wide", "bank", "bank_2026"}
 
 
 def test_p_values_are_corrected_for_the_policies_that_were_tried(bench):
@@ -261,7 +261,7 @@ def test_a_combiner_that_learnt_nothing_is_the_bank(tmp_path, monkeypatch):
     errors = result.main.errors
     assert list(errors)[-4:] == [
         "bank",
-        "bank_bursts",
+        "bank_2026",
         "bank + combiner",
         "oracle",
     ]  # the ladder's order

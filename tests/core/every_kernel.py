@@ -33,7 +33,7 @@ from navgym.ins.model import AidingModel
 from navgym.ins.recording import Aiding
 from navgym.ins.settings import INSDropoutSettings
 from navgym.statespace.batch import Batch
-from navgym.statespace.filters import bank, combiner
+from navgym.statespace.filters import combiner, modes
 from tests.deck.lanes import outputs_for, prepare, rule_of, run_alignment, run_bank
 from tests.helpers import NAMES
 from tests.inertial import test_update
@@ -42,8 +42,8 @@ from tests.ins import lanes as ins_lanes
 PACKAGE = Path(navgym.__file__).parent
 AUV = (
     ("component-loss", ("kf", "kf_hold", "kf_extrapolate", "qivbf_printed")),
-    ("component-loss", ("vbakf", "qivbf", "imm", "bank_bursts", "ekf", "cukf")),
-    ("nominal", ("imm_wide", "bank")),
+    ("component-loss", ("vbakf", "qivbf", "imm", "bank", "ekf", "cukf")),
+    ("nominal", ("imm_wide", "bank", "bank_2026")),
     ("coordinated-turn", ("ekf", "ukf")),
     ("turn", ("kf_zero", "oracle")),
 )  # fmt: skip
@@ -80,7 +80,7 @@ def filters():
     found["exact"] = navgym.estimate("imm", exact).states
     loud = navgym.Recording(recording.time, recording.measurements, recording.lost, model=model)
     lost = dataclasses.replace(loud, lost=np.arange(len(loud)) % 4 == 1)
-    for name in ("vbakf", "bank", "bank_bursts"):  # R̂ at its bound; rows without a measurement
+    for name in ("vbakf", "bank", "bank_2026"):  # R̂ at its bound; rows without a measurement
         found |= {
             f"{name} {i}": navgym.estimate(name, r).states for i, r in enumerate((loud, lost))
         }
@@ -89,15 +89,15 @@ def filters():
 
 def mixture():
     """The combiner, with a network that moves weights."""
-    modes, rng = bank.MODE_SETS["bank"], np.random.default_rng(5)
+    chosen, rng = modes.MODE_SETS["bank"], np.random.default_rng(5)
     arrays = {
         name: 0.1 * rng.standard_normal(shape)
-        for name, shape in combiner.shapes(modes, combiner.UNITS).items()
+        for name, shape in combiner.shapes(chosen, combiner.UNITS).items()
     }
     batch = Batch.of([navgym.simulate("auv/heavy", seed=1, steps=8, loss=0.3)])
     table = navgym.parameter_space("bank").array()[None]
     return combiner.estimate(
-        combiner.pack(modes, arrays), modes, batch, table, everything=True, watch=True
+        combiner.pack(chosen, arrays), chosen, batch, table, everything=True, watch=True
     )
 
 

@@ -12,7 +12,7 @@ from navgym.statespace.filters.catalogue import CATALOGUE
 from navgym.statespace.models import process_noise
 
 # Those that take a lost row for a datum: what they do with it is what they are.
-ROW_BY_ROW = {"kf_zero", "kf_hold", "kf_extrapolate", "qivbf_printed", "bank_bursts"}
+ROW_BY_ROW = {"kf_zero", "kf_hold", "kf_extrapolate", "qivbf_printed"}
 FILTERS = sorted(set(CATALOGUE) - ROW_BY_ROW - {"oracle"})
 
 

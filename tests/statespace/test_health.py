@@ -11,13 +11,13 @@ from navgym.core.health import RUNAWAY
 from navgym.statespace.filters import kalman, nonlinear, qivbf, qivbf_printed
 from navgym.statespace.filters.catalogue import CATALOGUE
 from tests.helpers import problems, run_bank, run_family
-from tests.statespace.test_bank import BURSTS, GRID
+from tests.statespace.test_bank import GRID
 from tests.statespace.test_nonlinear import turn_recording
 from tests.twins.health import BEHIND, behind
 
 FEW = ((2, 1), (4, 4))
 PLAIN = ["kf", "kf_hold", "kf_extrapolate", "ekf", "ukf", "ckf", "cukf"]  # believe a spike
-ROBUST = ["vbakf", "qivbf", "bank", "bank_bursts"]
+ROBUST = ["vbakf", "qivbf", "bank", "bank_2026"]
 SOUND = [*PLAIN, *ROBUST, "imm", "imm_wide"]
 FAMILIES = {
     "kf": lambda r: run_family(kalman, r, (1.0, 1.0, 1.0)),
@@ -27,7 +27,6 @@ FAMILIES = {
     "ekf": lambda r: run_family(nonlinear, r, (1.0, 1.0, 1.0), nonlinear.EXTENDED),
     "cukf": lambda r: run_family(nonlinear, r, (1.0, 1.0, 0.7), nonlinear.ALTERNATING),
     "bank": lambda r: run_bank(r, GRID, 1),
-    "bank_bursts": lambda r: run_bank(r, BURSTS, 1),
 }
 
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 import navgym
 from navgym.auv.problem import PROBLEM
 from navgym.core.checks import Array
+from navgym.statespace.batch import Batch
+from navgym.statespace.filters.modes import MODE_SETS, Modes, Structure
 from navgym.statespace.recording import Recording
 from navgym.tuning.comparison import Entry
 
@@ -30,6 +34,13 @@ def nonlinear_filters() -> list[Entry]:
 
 
 def bank_beliefs(recording: Recording) -> dict[str, Array]:
-    """The bank's probability (T,) of each of its three regimes."""
-    weights = navgym.estimate("bank", recording).extras["weights"].sum(axis=1)
-    return dict(zip(("nominal", "outlier", "manoeuvre"), weights.T, strict=True))
+    """The bank's probability (T,) of what it takes for nominal, for outliers and for a manoeuvre.
+
+    A manoeuvre that has outliers, too, counts as a manoeuvre.
+    """
+    weights = navgym.estimate("bank", recording).extras["regimes"]
+    regimes = Modes.of(MODE_SETS["bank"], Structure.of(Batch.of([recording]))).regimes
+    pushed = np.array([r.process > 1.0 for r in regimes])
+    outlying = np.array([r.outliers for r in regimes]) & ~pushed
+    kinds = {"nominal": ~pushed & ~outlying, "outlier": outlying, "manoeuvre": pushed}
+    return {name: weights[:, own].sum(axis=1) for name, own in kinds.items()}
