@@ -18,9 +18,10 @@ def one_of(kind: str, name: object, choices: Iterable[str]) -> str:
     known = list(choices)
     if isinstance(name, str) and name in known:
         return name
-    near = difflib.get_close_matches(str(name).lower().replace("_", "-"), known, n=1, cutoff=0.5)
-    near = near or difflib.get_close_matches(str(name), known, n=1, cutoff=0.5)
-    hint = f" Did you mean {near[0]!r}?" if near else ""
+    plain = {each.lower().replace("_", "-"): each for each in known}
+    typed = str(name).lower().replace("_", "-")
+    near = difflib.get_close_matches(typed, plain, n=1, cutoff=0.5)
+    hint = f" Did you mean {plain[near[0]]!r}?" if near else ""
     raise ValueError(f"unknown {kind} {name!r}.{hint} Known: {', '.join(sorted(known))}.")
 
 

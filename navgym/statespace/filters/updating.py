@@ -380,7 +380,8 @@ def foretell(lane, work, design):
                 for k in range(p):
                     lane.P_prior[g * p + i, g * p + k] += w * work.Q[kind, i, k]
     for i in range(n):
-        for g in range(axes):
-            for k in range(p):
-                for h in range(p):
-                    lane.P_prior[i, g * p + k] += lane.T[i, g * p + h] * lane.F[k, h]
+        for k in range(i + 1):
+            first, own = (k // p) * p, k % p
+            for h in range(p):
+                lane.P_prior[i, k] += lane.T[i, first + h] * lane.F[own, h]
+            lane.P_prior[k, i] = lane.P_prior[i, k]
