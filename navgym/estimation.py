@@ -7,10 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Self, overload
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from navgym.core.checks import Array, one_of
 from navgym.core.parameters import ParameterSpace
+from navgym.metrics.whiteness import whiteness
 from navgym.problem import PROBLEMS, Problem, Run, problem_of, problems, problems_with
 from navgym.tuned import settled
 
@@ -48,6 +50,25 @@ class Estimate:
     log_likelihood: Array
     diverged: bool
     extras: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def health(self) -> str:
+        """In words whether it can be believed: "sound", or what is wrong.
+
+        "lost": see `diverged`. "correlated": the innovations of some components are no white noise
+        (`navgym.metrics.whiteness`), so that the filter may take noise for motion and its covariance be
+        far too small, without NIS showing it.
+        """
+        if self.diverged:
+            return "lost: the filter has failed or has lost the track"
+        found = whiteness(self.innovations)
+        if not found.correlated.any():
+            return "sound"
+        told = [
+            f"component {i} (lag 1: {found.lag[i]:+.2f}, blocks: {found.block[i]:.1f})"
+            for i in np.flatnonzero(found.correlated)
+        ]
+        return f"correlated: innovations of {', '.join(told)}; the covariance may be far too small"
 
     @classmethod
     def of(cls, run: Run, time: Array, **more: Any) -> Self:

@@ -33,10 +33,12 @@ from navgym.metrics.errors import (
     summarize,
     time_rmse,
 )
+from navgym.metrics.whiteness import Whiteness, whiteness
 
 __all__ = [
     "DIVERGED_MULTIPLE", "Consistency", "ErrorSummary", "LossBounds", "PairedDifference",
-    "SteadyState", "consistency", "critical_arrival_rate", "degrees_of_freedom", "divergence",
+    "SteadyState", "Whiteness", "consistency", "critical_arrival_rate", "degrees_of_freedom", "divergence",
     "holm", "loss_bounds", "mean_nis_band", "nees", "nis_band", "paired_difference", "per_degree", "rms",
     "run_rmse", "score", "squared_error", "steady_state", "summarize", "time_rmse",
+    "whiteness",
 ]  # fmt: skip
