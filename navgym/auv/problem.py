@@ -150,7 +150,7 @@ CONTEST = Contest(
         Rival("imm, models off ×3", "imm", {"measurement_noise_scale": 1.0 / 3.0}, "the IMM with every R three times too small"),
         Rival("imm", "imm", about="6 Kalman filters over R and Q, weighed by how well they predict", adapts=True),
         Rival("imm_wide", "imm_wide", about="13 Kalman filters over R and Q, likewise", adapts=True),
-        Rival("bank", "bank", about="24 Kalman filters over R and regimes; nothing in it was learnt", adapts=True),
+        Rival("bank", "bank", about="68 Kalman filters over noise, motion and outliers; nothing in it was learnt", adapts=True),
         Rival("bank_2026", "bank_2026", about="the bank as it was first: 24 filters, one R scale for all sensors", adapts=True),
         Rival("oracle", "oracle", about="told the true noise of every sample: a bound", bound=True),
     ),

@@ -19,7 +19,7 @@ _ALL = (
     Filter("qivbf_printed", "QIVBF as printed, with the least additions that let it run: diverges", spaces.PRINTED, "qivbf_printed"),
     Filter("imm", "interacting multiple models: 6 Kalman filters over R and Q scales", spaces.IMM, "bank", "imm"),
     Filter("imm_wide", "interacting multiple models: 13 Kalman filters, R scales .1 to 300", spaces.IMM, "bank", "imm_wide"),
-    Filter("bank", "93 modes of noise, motion and outliers, weighed by what they foretell: needs no tuning", spaces.BANK, "bank", "bank"),
+    Filter("bank", "68 modes of noise, motion and outliers, weighed by what they foretell: needs no tuning", spaces.BANK, "bank", "bank"),
     Filter("bank_2026", "the bank as it was first: 24 modes, one R scale for all sensors by regime", spaces.BANK, "bank", "bank_2026"),
     Filter("ekf", "extended Kalman filter, with exact Jacobians", spaces.KALMAN, "nonlinear", 0, nonlinear=True),
     Filter("ukf", "unscented Kalman filter with spread a", spaces.SIGMA, "nonlinear", 1, nonlinear=True),

@@ -129,7 +129,7 @@ BANK = ModeSet(
         Regime("manoeuvre", 0.5, process=100.0),
         Regime("hard manoeuvre", 0.05, 4 / 3, process=1000.0, nodes=_pairs(0.3, 1.0, 3.0)),
         Regime("late", 0.5, 2 / 3, motion="late", nodes=_SHARP),
-        Regime("late, manoeuvre", 0.25, process=10.0, motion="late", nodes=_SHARP),
+        Regime("late, manoeuvre", 0.25, process=10.0, motion="late", nodes=_pairs(1.0)),
         Regime("outliers", 2.0, outliers=True),
         Regime(
             "manoeuvre, outliers", 0.25, process=100.0, outliers=True,
