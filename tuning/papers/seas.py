@@ -121,7 +121,8 @@ def _tracks(size: ReproductionAmount, folder: Path) -> tuple[dict[str, Compariso
         name = f"tracks, {tables.percent(rate)} lost"
         one = found[name] = _compared(cases, name)
         by_track = np.array([r.meta["track"] for r in cases.recordings])
-        gain = paired_difference(*(_per_track(one.errors[x], by_track) for x in (BANK, OLD)))
+        own, old = (_per_track(one.errors[x], by_track) for x in (BANK, OLD))
+        gain = paired_difference(own, old)
         told = f"{100 * gain.relative_gain:+.1f} % ({100 * gain.gain_low:+.1f} to {100 * gain.gain_high:+.1f})"
         rows.append([name, *(f"{one[label].mean:.3f}" for label in (*OTHERS, BANK)), told])
     caption = "Position RMSE in m; the interval is over tracks."

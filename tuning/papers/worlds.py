@@ -115,7 +115,8 @@ def spiked(columns: Sequence[int], rate: float = 0.1, factor: float = 10.0) -> C
     def change(recording: Recording, rng: np.random.Generator) -> Recording:
         noise = _noise(recording)
         hit = rng.random(len(noise)) < rate
-        noise[np.ix_(hit, columns)] *= factor
+        for column in columns:
+            noise[hit, column] *= factor
         return replace(recording, measurements=recording.truth + noise)
 
     return change
