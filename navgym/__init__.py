@@ -4,7 +4,7 @@ Names load on first use, so `import navgym` stays quick: `simulate`, `scenarios`
 `geographic`, `estimate`, `filters`, `parameter_space`, and the data classes `Recording`,
 `LinearModel`, `CoordinatedTurnModel`, `Estimate`, `Parameter`, `ParameterSpace`; for two IMUs on a deck
 `DualIMURecording`, `DeckModel`, `FlexureModel`, `DeckEstimate`, `flexure_increments`, `identify`,
-`LiveDeckBank`.
+`LiveBank`, `LiveDeckBank`.
 Importing the package registers its environments.
 """
 
@@ -26,6 +26,7 @@ _HOME = {
     "Estimate": "navgym.estimation",
     "FlexureModel": "navgym.inertial.flexure",
     "LinearModel": "navgym.statespace.models",
+    "LiveBank": "navgym.auv.live_bank",
     "LiveDeckBank": "navgym.deck.live_bank",
     "Parameter": "navgym.core.parameters",
     "ParameterSpace": "navgym.core.parameters",
@@ -50,6 +51,7 @@ __all__ = [
     "Estimate",
     "FlexureModel",
     "LinearModel",
+    "LiveBank",
     "LiveDeckBank",
     "Parameter",
     "ParameterSpace",
@@ -69,6 +71,7 @@ __all__ = [
 
 if TYPE_CHECKING:
     from navgym.auv.geodesy import geographic
+    from navgym.auv.live_bank import LiveBank
     from navgym.core.parameters import Parameter, ParameterSpace
     from navgym.core.seeds import seeds
     from navgym.deck.estimation import DeckEstimate, flexure_increments

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navgym.auv import kernels as K
+from navgym.auv.intake import linear
 from navgym.core.checks import Array
 from navgym.envs.base import LaneEngine, Shelf
 from navgym.statespace.batch import Batch
@@ -178,13 +179,3 @@ def station_of(model: LinearModel, row: Array) -> NDArray[Any]:
     H = model.H.reshape(-1, model.m, model.n)[0]
     station["kind"] = [int(np.argmax(np.abs(each)) not in model.position) for each in H]
     return station
-
-
-def linear(model: Any) -> LinearModel:
-    """`model` if it is a LinearModel; TypeError if not."""
-    if not isinstance(model, LinearModel):
-        raise TypeError(
-            f"the environment's filter needs recordings with a LinearModel, got a "
-            f"{type(model).__name__}."
-        )
-    return model

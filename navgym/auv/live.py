@@ -2,31 +2,24 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Mapping
-from decimal import Decimal
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navgym.auv import kernels as K
-from navgym.auv.engine import linear, observation_names, station_of
+from navgym.auv.engine import observation_names, station_of
+from navgym.auv.intake import LinearIntake, Model, doubtful
 from navgym.auv.settings import AUVDropoutSettings
-from navgym.core.checks import Array, real_array, within
+from navgym.core.checks import Array
 from navgym.core.health import NUMERICAL
 from navgym.envs.base import TALLY
-from navgym.envs.live import CONTROLLED, REFERENCE, LiveLane, checked_time, flags, pooled, since
+from navgym.envs.live import CONTROLLED, REFERENCE, LiveLane, pooled
 from navgym.statespace.filters import kalman, qivbf
-from navgym.statespace.models import LinearModel
-
-JITTER = 0.1  # by how much of it a step may miss the one that the model was made for
-SAME_STEP = 1e-6  # relative difference of two steps that share a model, as in `models.step_of`
 
 FROZEN = 2  # beside CONTROLLED and REFERENCE
 BOTH = 3  # bits of the two adaptive filters
-
-Model = LinearModel | Callable[[float], LinearModel]
 
 
 class _Memory:
@@ -44,17 +37,14 @@ class _Memory:
         )
 
 
-class LiveAUV(LiveLane):
+class LiveAUV(LinearIntake, LiveLane):
     """QIVBF twice, and the frozen Kalman filter beside it.
 
     Args:
         settings: of the environment.
         reference: parameters of the reference filter; residual actions start from them.
-        model: what the filters believe, or, where samples come at uneven times, a function from a
-            step in s to such a model. A model with a time axis holds sample by sample, its last
-            one to the end.
-        interval: s, for such a function: the step to the first sample, and to samples without a
-            time of their own; 1 by default.
+        model: see `LinearIntake`.
+        interval: likewise.
         rates: not for this filter.
 
     Raises:
@@ -70,16 +60,13 @@ class LiveAUV(LiveLane):
         interval: float | None = None,
         rates: bool = False,
     ) -> None:
-        super().__init__(settings, reference, observation_names(settings.action_parameters))
+        LiveLane.__init__(self, settings, reference, observation_names(settings.action_parameters))
         if rates:
             raise ValueError("rates= is for filters of IMUs: leave it out.")
-        self._interval = 1.0 if interval is None else within("interval", interval, 0.0, above=True)
-        self._made = None if isinstance(model, LinearModel) else _checked_maker(model)
-        self.model = linear(model if self._made is None else self._made(self._interval))
+        LinearIntake.__init__(self, model, interval)
         n, m = self.model.n, self.model.m
         self.components = m
         station = station_of(self.model, self.reference)
-        self._packed = self.model.pack()
         types = (
             (qivbf.lane_type(n, m), 2), (kalman.lane_type(n, m), 1), (station.dtype, 2),
             (self._packed.dtype, 1), (K.tape_type(n, m), 1), (K.doubt_type(m), 3),
@@ -91,8 +78,6 @@ class LiveAUV(LiveLane):
             now.lanes, now.frozen, now.stations, now.tally,
         )  # fmt: skip
         self._model, self._sample, self._doubt = now.model, now.sample, now.doubt
-        known = self._made is None and self.model.dt is not None
-        self._steps: list[float] = np.ravel(self.model.dt).tolist() if known else []
         self._arguments = (
             self.lanes, self._frozen, self.stations, self._model, self._sample, self._doubt,
             self.table, self.tally,
@@ -103,13 +88,7 @@ class LiveAUV(LiveLane):
 
     def reset(self) -> None:
         """Go back to x0, P0, one step before the first sample."""
-        self.time: float | Decimal | None = None
-        self._elapsed: float | None = None  # the kernels' time of the last sample
-        self._origin: float | Decimal = 0.0  # and where that begins
-        self.k = 0
-        self._waiting = False
-        self._step = self._interval
-        self._use(self.model, self._packed[0])
+        self._begin_samples()
         self.tally[:] = 0.0
         self._begin_filters()
         self.stations[...] = station_of(self.model, self.reference)
@@ -117,19 +96,6 @@ class LiveAUV(LiveLane):
         K.first_look(self.stations[:1], self.table, self.observation)  # type: ignore[no-untyped-call]
 
     # ---- samples ---------------------------------------------------------------------------
-
-    def put(self, measurement: Any, lost: Any = None, time: float | Decimal | None = None) -> None:
-        """Take in one sample; see `agents.SelfTuningFilter.step`."""
-        y = self._checked(measurement)
-        if lost is not None:
-            y[flags(lost, y.shape)] = np.nan
-        now, step = self._timed(time)
-        self._follow(step, now)
-        self._y[...] = y
-        self._lost[...] = 0 if math.isfinite(y.sum()) else np.isnan(y)
-        self._sample["time"][0] = self._elapsed = self._since_origin(now, step)
-        self.time = now
-        self._waiting = True
 
     def ready(self) -> bool:
         """Whether there is a sample to filter."""
@@ -153,91 +119,6 @@ class LiveAUV(LiveLane):
         """State, covariance and NIS of the controlled or the reference filter, copied."""
         x, P, nis = self._views[which]
         return x[0].copy(), P[0].copy(), nis.item()
-
-    @staticmethod
-    def samples(recording: Any) -> Iterator[tuple[Array, float, dict[str, Any]]]:
-        """Measurements of a `navgym.Recording` and their times; see `LiveLane`."""
-        for y, time in zip(recording.measurements, recording.time.tolist(), strict=True):
-            yield y, time, {}
-
-    def _checked(self, measurement: Any) -> Array:
-        """The measurement as (m,) floats of its own; ValueError where it is none."""
-        if type(measurement) is np.ndarray and measurement.dtype == np.float64:
-            y = measurement.copy()  # a subclass may mean more, such as a mask
-        else:
-            y = real_array("measurement", measurement, finite=False)
-        m = len(self._y)
-        if y.shape != (m,):
-            raise ValueError(
-                f"measurement must have shape ({m},), a number per row of the model's H, got "
-                f"{y.shape}: pass NaN where a component was lost."
-            )
-        if not math.isfinite(y.sum()) and np.isinf(y).any():
-            raise ValueError(f"measurement must be finite or NaN, got {y}: mark it as lost.")
-        return y
-
-    def _timed(self, time: float | Decimal | None) -> tuple[float | Decimal, float]:
-        """Time of the sample, and the step to it, s; ValueError for one that is not after the last."""
-        if time is None:
-            step = self._usual()
-            return (0.0 if self.time is None else float(self.time)) + step, step
-        now = checked_time(time)
-        if self.time is None:
-            return now, self._usual()
-        step = since(now, self.time)
-        if not step > 0.0:
-            raise ValueError(
-                f"time must be finite and increase, got {time} after {self.time}: drop samples that "
-                "come late or twice; where the clock was set, call restart_clock() first."
-            )
-        return now, step
-
-    def _since_origin(self, now: float | Decimal, step: float) -> float:
-        """The sample's time as the kernels have it, s: small, and without a jump of the clock.
-
-        Times that are floats are taken as they are, as a recording's are.
-        """
-        if self.time is None:
-            if self._elapsed is None:
-                self._origin = now if isinstance(now, Decimal) else 0.0
-            else:
-                self._origin = now - type(now)(self._elapsed + step)  # type: ignore[operator]
-        return since(now, self._origin)
-
-    # ---- the model of the step -----------------------------------------------------------------
-
-    def _usual(self) -> float:
-        """The step in s that the next sample is expected to take."""
-        if not self._steps:
-            return self._interval
-        return self._steps[min(self.k, len(self._steps) - 1)]
-
-    def _follow(self, step: float, now: float | Decimal) -> None:
-        """Bring the model to a step that ends at `now`."""
-        if self._made is not None:
-            unsure = 0.0 if isinstance(now, Decimal) else 2.0 * math.ulp(now)
-            if abs(step - self._step) > SAME_STEP * self._step + unsure:
-                made = linear(self._made(step))
-                self._use(made, made.pack()[0])
-                self._step = step
-            return
-        usual = self._usual()
-        if self._steps and abs(step - usual) > JITTER * usual:
-            raise ValueError(
-                f"time has moved by {step:.6g} s, and the model is made for steps of {usual:.6g} s: "
-                "pass samples that were missed as lost ones, or give a function from a step to a "
-                "model, for example model=navgym.LinearModel.white_acceleration."
-            )
-        if len(self._packed) > 1:
-            self._model[0] = self._packed[min(self.k, len(self._packed) - 1)]
-
-    def _use(self, model: LinearModel, packed: Any) -> None:
-        if (model.n, model.m) != (self.model.n, self.model.m):
-            raise ValueError(
-                f"the function that makes models made one of size {(model.n, model.m)} after one of "
-                f"size {(self.model.n, self.model.m)}."
-            )
-        self._model[0] = packed
 
     # ---- failures ----------------------------------------------------------------------------
 
@@ -313,7 +194,7 @@ class LiveAUV(LiveLane):
         for i, (lane, values) in enumerate(known):
             for name in values.dtype.names or ():
                 lane[name] = values[name]
-            lane["P"] += _doubtful(self._model[0], miss[i], change[i])
+            lane["P"] += doubtful(self._model[0], miss[i], change[i])
         for model, sample in samples:
             self._model[...], self._sample[...] = model, sample
             if self._call(K.live, (*self._arguments, look, self.observation)) & BOTH:
@@ -330,25 +211,3 @@ class LiveAUV(LiveLane):
         kalman.begin(self._frozen, self._model[None], self.reference[None])
         qivbf.begin(self.lanes, self._model[None], self.reference[None, None])
         self._doubt[...] = np.zeros((), self._doubt.dtype)
-
-
-def _doubtful(model: Any, miss: Array, change: Array) -> Array:
-    """What to add to P where innovations (m,), over the root of R, are `miss` and move by `change`."""
-    H, R = model["H"], np.diag(model["R"])
-    rate = H @ model["F"] - H  # of what a row sees, by the state
-    wide: Array = model["P0"].copy()
-    for seen, size in ((H, miss), (rate, change)):
-        norm = np.square(seen).sum(axis=1)
-        weight = np.divide(R * size**2, norm**2, out=np.zeros(len(R)), where=norm > 0.0)
-        wide += (seen.T * weight) @ seen
-    return wide
-
-
-def _checked_maker(model: Any) -> Callable[[float], LinearModel]:
-    if not callable(model):
-        raise TypeError(
-            "model must be a navgym.LinearModel, or a function from a step in s to one, got "
-            f"{type(model).__name__}."
-        )
-    made: Callable[[float], LinearModel] = model
-    return made

@@ -6,11 +6,15 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import numpy as np
+
+from navgym.auv.live_bank import LiveBank
 from navgym.problem import PROBLEMS
 from navgym.statespace.batch import Batch
 from navgym.statespace.filters import combiner
 from navgym.statespace.filters.catalogue import CATALOGUE
 from navgym.statespace.filters.modes import MODE_SETS
+from navgym.statespace.models import LinearModel
 from navgym.warm import brief, play, stream
 
 SCENARIOS = ("nominal", "position-only", "component-loss", "coordinated-turn")
@@ -50,3 +54,11 @@ def filter_one(name: str, scenario: str) -> None:
         table = CATALOGUE["bank"].space.array()[None]
         chosen = MODE_SETS["bank"]
         combiner.estimate(combiner.idle(chosen), chosen, batch, table, everything=True)
+        live = LiveBank(_apart)
+        for time in (1.0, 3.0):
+            live.step(batch.y[0, 0], time=time)
+
+
+def _apart(step: float) -> LinearModel:
+    """Two axes that are alike at first: a live bank parts them."""
+    return LinearModel(dt=step, R=np.diag([1.0, 1.0, step, 1.0]))

@@ -235,7 +235,17 @@ def live_auv():
         lane.put(np.where(lost, np.nan, y))
         lane.step(look=True)
         seen.append(np.concatenate([lane.observation[0], lane.answer(0)[0], lane.tally]))
-    return {"seen": seen}
+    bank = navgym.LiveBank(sometimes_apart)
+    times = np.array([1.0, 2.0, 3.0, 3.5, 4.5, 5.0])
+    rows = zip(recording.measurements, recording.lost, times.tolist(), strict=True)
+    told = [bank.step(y, lost, time) for y, lost, time in rows]
+    return {"seen": seen, "bank": [e.state for e in told]}
+
+
+def sometimes_apart(step):
+    """A model whose axes are alike over steps of a second, and not over others."""
+    R = np.eye(4) if step == 1.0 else np.diag([1.0, 1.0, 2.0, 1.0])
+    return navgym.LinearModel(dt=step, R=R)
 
 
 def live_deck():

@@ -212,7 +212,7 @@ def run_lanes(
     n, m = batch.models.dtype["x0"].shape[0], batch.y.shape[2]
     lanes = np.zeros(len(batch), lane_type(n, m))
     noises = structure.noise(batch.models)
-    begin(lanes, batch.models, noises, design, _axes(batch, structure))
+    begin(lanes, batch.models, noises, design, axes_of(batch.models, structure))
     lanes["length"] = batch.lengths
     runner(
         lanes, np.zeros(1, work_type(n, m)), design, batch.models, noises,
@@ -222,14 +222,15 @@ def run_lanes(
     return lanes
 
 
-def _axes(batch: Batch, structure: Structure) -> NDArray[np.int64]:
-    """How many axes share a covariance at the start, (N,)."""
-    p, s = batch.models.dtype["x0"].shape[0] // 2, batch.y.shape[2] // 2
+def axes_of(models: NDArray[Any], structure: Structure) -> NDArray[np.int64]:
+    """How many axes of packed models (N, K) share a covariance at the start, (N,)."""
+    m, n = models["H"].shape[-2:]
+    p, s = n // 2, m // 2
     alike = structure.sensors[:s] == structure.sensors[s:]
     for states in (structure.position, structure.velocity):
         c = len(states) // 2
         alike = alike and tuple(i + p for i in states[:c]) == states[c:]
-    return np.array([2 if alike and separable(models) else 1 for models in batch.models])
+    return np.array([2 if alike and separable(own) else 1 for own in models])
 
 
 def begin(
@@ -345,6 +346,14 @@ def run(
             report(lane, i, k, states, covariances, innovations, nis, log_likelihoods)
             if weights.shape[1] > 0:
                 show_weights(lane, work, design, received, weights, i, k)
+
+
+@kernel
+def part_axes(lanes, designs):
+    """From one covariance for two axes to one for the whole state, lane by lane."""
+    for i in range(lanes.shape[0]):
+        if lanes[i].axes == 2:
+            unfold(lanes[i], designs[0])
 
 
 @part

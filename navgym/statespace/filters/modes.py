@@ -179,14 +179,25 @@ class Structure:
     @classmethod
     def of(cls, batch: Batch) -> Structure:
         """The structure that all models of a batch have in common."""
-        position, velocity = list(batch.position), list(batch.velocity)
-        H = batch.models["H"].reshape(-1, *batch.models["H"].shape[-2:])
-        F = batch.models["F"].reshape(-1, *batch.models["F"].shape[-2:])
+        return cls.among(batch.models, batch.position, batch.velocity, batch.sensors)
+
+    @classmethod
+    def among(
+        cls,
+        models: NDArray[Any],
+        positions: tuple[int, ...],
+        velocities: tuple[int, ...],
+        sensors: tuple[str, ...],
+    ) -> Structure:
+        """The structure that packed models (...) have in common; see `Batch` for the rest."""
+        position, velocity = list(positions), list(velocities)
+        H = models["H"].reshape(-1, *models["H"].shape[-2:])
+        F = models["F"].reshape(-1, *models["F"].shape[-2:])
         seen = (H != 0.0).any(axis=0)
         others = np.delete(seen, position + velocity, axis=1).any(axis=1)
         where, speed = seen[:, position].any(axis=1), seen[:, velocity].any(axis=1)
         told = bool((where != speed).all() and not others.any() and where.any() and speed.any())
-        names = list(dict.fromkeys(batch.sensors))
+        names = list(dict.fromkeys(sensors))
         moving = told and len(position) == len(velocity)
         if moving:
             moving = bool((F[:, position, velocity] != 0.0).all()) and all(
@@ -196,7 +207,7 @@ class Structure:
             )
         return cls(
             velocities=tuple(bool(s) for s in speed) if told else (False,) * len(seen),
-            sensors=tuple(names.index(s) for s in batch.sensors) or (0,) * len(seen),
+            sensors=tuple(names.index(s) for s in sensors) or (0,) * len(seen),
             moving=moving,
             position=tuple(position) if moving else (),
             velocity=tuple(velocity) if moving else (),
