@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as hnp
 
 import navgym
 from navgym.problem import PROBLEMS
-from navgym.statespace.batch import Batch, outputs
+from navgym.statespace.batch import StateSpaceBatch, outputs
 from navgym.statespace.filters import bank
 from navgym.statespace.filters.modes import Structure, pack
 
@@ -109,7 +109,7 @@ def run_family(family, recording, parameters, option=0, interval=5):
     Args:
         parameters: one value or schedule per column of the kernel's table.
     """
-    batch = Batch.of([recording])
+    batch = StateSpaceBatch.of([recording])
     n, m = recording.model.n, recording.model.m
     table = np.atleast_2d(np.stack(np.broadcast_arrays(*parameters), -1).astype(float))[None]
     lanes = np.zeros(1, family.lane_type(n, m))
@@ -124,7 +124,7 @@ def run_family(family, recording, parameters, option=0, interval=5):
 
 def run_bank(recording, chosen, axes, parameters=(1.0, 1.0, 0.995, 0.985, 0.2)):
     """Run any set of modes on the path of so many axes."""
-    batch = Batch.of([recording])
+    batch = StateSpaceBatch.of([recording])
     n, m = recording.model.n, recording.model.m
     structure = Structure.of(batch)
     modes, design = pack(chosen, structure, n)

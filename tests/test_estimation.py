@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import navgym
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters.catalogue import CATALOGUE
 from tests.helpers import identical, lane, run
 
@@ -92,7 +92,7 @@ def test_what_acts_at_the_start_only_follows_no_schedule(parameter):
 @every
 def test_each_recording_may_have_parameters_of_its_own(name):
     recordings = [navgym.simulate("auv/switch-B", seed, steps=60) for seed in range(3)]
-    batch = Batch.of(recordings)
+    batch = StateSpaceBatch.of(recordings)
     found = run(name, batch, [{}, TUNED[name], {}], everything=True)
     for i, parameters in enumerate(({}, TUNED[name], {})):
         alone = navgym.estimate(name, recordings[i], parameters)
@@ -128,7 +128,7 @@ def test_the_initial_state_holds_one_step_before_the_first_measurement():
 def test_padding_a_time_axis_keeps_the_model_of_each_sample():
     uneven = navgym.Recording([0.0, 1.0, 3.0, 3.5], np.ones((4, 4)))
     even = navgym.simulate("auv/nominal", 0, steps=9)
-    found = run("kf", Batch.of([uneven, even]))
+    found = run("kf", StateSpaceBatch.of([uneven, even]))
     np.testing.assert_array_equal(found.states[0, :4], navgym.estimate("kf", uneven).states)
     np.testing.assert_array_equal(found.states[1], navgym.estimate("kf", even).states)
 
@@ -172,11 +172,14 @@ BAD = [
     (lambda: navgym.estimate("kf", PLAIN, None, 0), "decision_interval must be a whole number"),
     (lambda: navgym.estimate("oracle", PLAIN), "'oracle' needs the true noise scales"),
     (lambda: navgym.estimate("kf", TURN), "'kf' needs a LinearModel"),
-    (lambda: run("kf", Batch.of([PLAIN] * 3), [{}, {}]), "one dict per recording, got 2"),
+    (lambda: run("kf", StateSpaceBatch.of([PLAIN] * 3), [{}, {}]), "one dict per recording, got 2"),
     (lambda: navgym.estimate("kf", PLAIN, [{}, 3]), "parameters must hold dicts or numbers, not"),
     (lambda: navgym.estimate("kf", PLAIN, []), "parameters has the wrong shape, got shape (0,)"),
-    (lambda: Batch.of([]), "at least one Recording, got none"),
-    (lambda: Batch.of([PLAIN, navgym.simulate("auv/position-only", 0)]), "share one model size"),
+    (lambda: StateSpaceBatch.of([]), "at least one Recording, got none"),
+    (
+        lambda: StateSpaceBatch.of([PLAIN, navgym.simulate("auv/position-only", 0)]),
+        "share one model size",
+    ),
     (lambda: navgym.simulate("auv/switchD"), "Did you mean 'auv/switch-D'"),
     (lambda: navgym.simulate("switch-d"), "Did you mean 'auv/switch-D'"),
     (

@@ -26,7 +26,7 @@ from navgym.core.storage import writable
 from navgym.estimation import Estimate
 from navgym.problem import Problem, Run
 from navgym.statespace import run as statespace
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters import combiner as kernels
 from navgym.statespace.filters.catalogue import CATALOGUE
 from navgym.statespace.filters.modes import MODE_SETS, ModeSet
@@ -102,12 +102,12 @@ class Combiner(Frozen):
         Raises:
             ValueError: a recording of a size that it was not trained for.
         """
-        batch = Batch.of([recording])
+        batch = StateSpaceBatch.of([recording])
         found = self.run(batch, everything=True, fallback=fallback)
         kept = {"weights": found.extras["weights"]}
         return Estimate.of(replace(found, extras=kept), batch.time_of(0))
 
-    def run(self, batch: Batch, everything: bool = False, fallback: bool = False) -> Run:
+    def run(self, batch: StateSpaceBatch, everything: bool = False, fallback: bool = False) -> Run:
         """Run over a batch; extras hold `weights`.
 
         Args:

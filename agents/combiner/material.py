@@ -26,7 +26,7 @@ from navgym.core.seeds import seeds
 from navgym.core.storage import writable
 from navgym.problem import problem_of
 from navgym.simulation import find_scenario, simulate_many
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters import combiner as kernels
 from navgym.statespace.recording import Recording
 
@@ -197,7 +197,7 @@ def material(recordings: Sequence[Recording]) -> Lessons:
 
 
 def _part(recordings: Sequence[Recording]) -> Lessons:
-    batch = Batch.of(recordings)
+    batch = StateSpaceBatch.of(recordings)
     assert batch.truth is not None
     table = space().array()[None]
     found = kernels.estimate(kernels.idle(modes()), modes(), batch, table, False, watch=True)

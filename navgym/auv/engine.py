@@ -12,7 +12,7 @@ from navgym.auv import kernels as K
 from navgym.auv.intake import linear
 from navgym.core.checks import Array
 from navgym.envs.base import LaneEngine, Shelf
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters import kalman, qivbf
 from navgym.statespace.models import LinearModel
 from navgym.statespace.recording import Recording
@@ -91,7 +91,7 @@ class Engine(LaneEngine):
         """
         for r in recordings:
             linear(r.model)
-        batch = Batch.of(recordings)
+        batch = StateSpaceBatch.of(recordings)
         self._check_usable(batch)
         n, m = batch.models.dtype["x0"].shape[0], batch.y.shape[2]
         fits = place is not None and place.shape == batch.y.shape[:2]
@@ -108,7 +108,7 @@ class Engine(LaneEngine):
         labels = [{"recording": i, **dict(r.meta)} for i, r in enumerate(recordings)]
         return Shelf(tapes, batch.models, stations, labels, {})
 
-    def _fill(self, tapes: NDArray[Any], batch: Batch, stations: NDArray[Any]) -> None:
+    def _fill(self, tapes: NDArray[Any], batch: StateSpaceBatch, stations: NDArray[Any]) -> None:
         """Run the reference, the frozen and (if the reward asks for it) the oracle filter."""
         n, m, count = batch.models.dtype["x0"].shape[0], batch.y.shape[2], len(batch)
         frozen, oracles = (np.zeros(count, kalman.lane_type(n, m)) for _ in range(2))
@@ -125,7 +125,7 @@ class Engine(LaneEngine):
             variances = zip(tapes["oracle_variance"], batch.lengths, strict=True)
             stations["scale"] = [float(each[:length].mean()) for each, length in variances]
 
-    def _check_usable(self, batch: Batch) -> None:
+    def _check_usable(self, batch: StateSpaceBatch) -> None:
         reward = self.settings.reward
         self.check_truth(batch.truth)
         if reward in ORACLE_REWARDS and batch.scales is None:

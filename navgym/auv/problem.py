@@ -26,7 +26,7 @@ from navgym.problem import (
     Training,
     lazy,
 )
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters.catalogue import CATALOGUE
 from navgym.statespace.models import LinearModel
 from navgym.statespace.recording import Recording
@@ -49,7 +49,7 @@ _TABLES: dict[str, dict[str, tuple[float, float]]] = {
 }  # fmt: skip
 
 
-def _guess(batch: Batch) -> dict[str, list[float]]:
+def _guess(batch: StateSpaceBatch) -> dict[str, list[float]]:
     """The true Q of each regime; the model's where a regime does not occur."""
     labels = np.concatenate(batch.regimes())
     scales = np.concatenate([r.process_scale for r in batch.recordings])
@@ -193,7 +193,7 @@ PROBLEM = Problem(
     told=lazy("navgym.auv.told:told"),
     marks={"akit": r"\bGT_trajectory\d+\.csv"},
     filters=CATALOGUE,
-    stack=Batch.of,
+    stack=StateSpaceBatch.of,
     runner=lazy("navgym.statespace.run:run"),
     estimate=lazy("navgym.statespace.run:estimate"),
     noise=lazy("navgym.statespace.noise:space"),

@@ -11,20 +11,20 @@ from navgym.core.checks import Array
 from navgym.metrics.consistency import nees as normalised
 from navgym.metrics.errors import run_rmse, squared_error
 from navgym.problem import Run, Span
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 
 WHOLE: Span = (0.0, 1.0)
 
 
 def errors(
-    batch: Batch, states: Array, names: Sequence[str], span: Span = WHOLE
+    batch: StateSpaceBatch, states: Array, names: Sequence[str], span: Span = WHOLE
 ) -> dict[str, Array]:
     """Position RMSE of each run (N,), m, infinite after a failure; see `Scoring.errors`."""
     each = run_rmse(squared(batch, states, "rmse", span))
     return dict.fromkeys(names, each)
 
 
-def squared(batch: Batch, states: Array, name: str, span: Span = WHOLE) -> Array:  # noqa: ARG001
+def squared(batch: StateSpaceBatch, states: Array, name: str, span: Span = WHOLE) -> Array:  # noqa: ARG001
     """Squared position error (N, T) in m² of states (N, T, n); NaN where not scored.
 
     Raises ValueError for recordings without truth.
@@ -38,21 +38,21 @@ def squared(batch: Batch, states: Array, name: str, span: Span = WHOLE) -> Array
     return each if span == WHOLE else np.where(scored(batch, span), each, np.nan)
 
 
-def scored(batch: Batch, span: Span) -> NDArray[np.bool_]:
+def scored(batch: StateSpaceBatch, span: Span) -> NDArray[np.bool_]:
     """Which samples (N, T) are judged."""
     first, last = (np.round(share * batch.lengths)[:, None] for share in span)
     k = np.arange(batch.steps)
     return (k >= first) & (k < last)
 
 
-def nees(batch: Batch, run: Run) -> Array:
+def nees(batch: StateSpaceBatch, run: Run) -> Array:
     """Normalised error squared of all states per degree of freedom, (N, T)."""
     assert batch.truth is not None
     found: Array = normalised(run.states, run.covariances, batch.truth) / run.states.shape[-1]
     return found
 
 
-def rows(batch: Batch) -> dict[str, Array]:
+def rows(batch: StateSpaceBatch) -> dict[str, Array]:
     """Innovations (N, m) that are of position fixes, and of velocities, by name; see `Scoring.rows`.
 
     A row is of a position if it sees a state that is one, and of a velocity if it sees velocities only.

@@ -10,7 +10,7 @@ import numpy as np
 
 from navgym.auv.live_bank import LiveBank
 from navgym.problem import PROBLEMS
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters import combiner
 from navgym.statespace.filters.catalogue import CATALOGUE
 from navgym.statespace.filters.modes import MODE_SETS
@@ -48,7 +48,7 @@ def kernels() -> list[Job]:
 def filter_one(name: str, scenario: str) -> None:
     """Run a filter, and a combiner on the bank, on three samples."""
     auv = PROBLEMS["auv"]
-    batch = Batch.of([brief(auv, f"auv/{scenario}", **STEPS)])
+    batch = StateSpaceBatch.of([brief(auv, f"auv/{scenario}", **STEPS)])
     auv.run(name, batch, everything=True)
     if CATALOGUE[name].family == "bank" and combiner.fits(batch):
         table = CATALOGUE["bank"].space.array()[None]

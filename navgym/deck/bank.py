@@ -2,11 +2,11 @@
 
 Blom & Bar-Shalom 1988; not in IDAM. Every mode is the filter of `navgym.deck.joint`; what sets them apart:
 
-    PLAIN    a Kalman filter, under one flexure model or another (a rougher sea)
-    SLAM     θ̇ may jump within the step, and when in the step matters: a branch without a jump and one
-             for each share of the step that was left, weighed by how well they foretell the rows,
-             collapsed by moments
-    GLITCH   each row may be wrong: a mixture of two Gaussians per row (`update.mixture`)
+- `PLAIN`: a Kalman filter, under one flexure model or another (a rougher sea).
+- `SLAM`: θ̇ may jump within the step, and when in the step matters: a branch without a jump and one
+  for each share of the step that was left, weighed by how well they foretell the rows, collapsed by
+  moments.
+- `GLITCH`: each row may be wrong: a mixture of two Gaussians per row (`update.mixture`).
 
 Modes change as a Markov chain in continuous time: one stays for a second with probability `stay`, and
 leaks alike to the others. A mode begins each step from the mixture of modes that it may have come from,

@@ -14,7 +14,7 @@ from navgym.statespace.recording import Recording
 
 
 @dataclass(frozen=True, eq=False)
-class Batch:
+class StateSpaceBatch:
     """Recordings of one model size, stacked for the kernels; shorter ones end in lost samples.
 
     Args:
@@ -48,7 +48,7 @@ class Batch:
     decision_interval: ClassVar[int] = 5  # samples per row of a schedule, as in the environment
 
     @classmethod
-    def of(cls, recordings: Sequence[Recording]) -> Batch:
+    def of(cls, recordings: Sequence[Recording]) -> StateSpaceBatch:
         """Stack `recordings`; ValueError if there is none or if their models do not fit together."""
         if not recordings:
             raise ValueError("recordings must hold at least one Recording, got none.")
@@ -97,13 +97,13 @@ class Batch:
     def __len__(self) -> int:
         return len(self.y)
 
-    def take(self, which: Sequence[int] | NDArray[np.int64]) -> Batch:
+    def take(self, which: Sequence[int] | NDArray[np.int64]) -> StateSpaceBatch:
         """Some of the recordings, in the order of `which`."""
         index = np.asarray(which, dtype=np.int64)
         held: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
         chosen: dict[str, Any] = {k: a[index] for k, a in held.items() if isinstance(a, np.ndarray)}
         kept = tuple(self.recordings[i] for i in index) if self.recordings else ()
-        return Batch(**(held | chosen | {"recordings": kept}))
+        return StateSpaceBatch(**(held | chosen | {"recordings": kept}))
 
     @property
     def steps(self) -> int:
@@ -131,7 +131,7 @@ class Batch:
         """(T_i,) s, the times of recording i."""
         return self.time[i, : self.lengths[i]]
 
-    def without_scales(self) -> Batch:
+    def without_scales(self) -> StateSpaceBatch:
         """The same batch for a filter that must not know the true noise."""
         return replace(self, scales=None)
 
@@ -152,7 +152,7 @@ def _later(time: Array, length: int) -> Array:
     return np.concatenate([time, time[-1] + np.arange(1.0, length - len(time) + 1)])
 
 
-def outputs(batch: Batch, n: int, m: int, everything: bool) -> dict[str, Array]:
+def outputs(batch: StateSpaceBatch, n: int, m: int, everything: bool) -> dict[str, Array]:
     """Output arrays for the kernels, NaN past a recording's end; those not asked for are empty."""
     count, steps = batch.y.shape[:2]
     rest = steps if everything else 0

@@ -8,10 +8,10 @@ import numpy as np
 
 from navgym.core.checks import Array
 from navgym.problem import Believed
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 
 
-def noises(batch: Batch) -> dict[str, Believed]:
+def noises(batch: StateSpaceBatch) -> dict[str, Believed]:
     """Standard deviations by sensor, and root densities of process noise by axis, of the first model.
 
     R is told as √R_ii of each row (its median over time), Q as √(Q_ii / dt) of the velocities, or of all

@@ -21,10 +21,10 @@ from navgym.statespace.filters.spaces import ANY_SCALE
 
 if TYPE_CHECKING:
     from navgym.problem import Filter
-    from navgym.statespace.batch import Batch
+    from navgym.statespace.batch import StateSpaceBatch
 
 
-def space(chosen: Filter, batch: Batch) -> ParameterSpace:
+def space(chosen: Filter, batch: StateSpaceBatch) -> ParameterSpace:
     """The noise scales that a filter has on a batch; none where one number says all, or knows all."""
     if chosen.needs_scales:
         return ParameterSpace(())
@@ -37,7 +37,7 @@ def space(chosen: Filter, batch: Batch) -> ParameterSpace:
     return ParameterSpace((*sensors, *axes))
 
 
-def believing(batch: Batch, scales: Array) -> Batch:
+def believing(batch: StateSpaceBatch, scales: Array) -> StateSpaceBatch:
     """The batch whose models' R and Q are scaled.
 
     Args:

@@ -10,13 +10,15 @@ from navgym.core.checks import Array
 from navgym.estimation import Estimate
 from navgym.metrics.consistency import degrees_of_freedom
 from navgym.problem import Filter, Run
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters.catalogue import CATALOGUE
 
 STANDARD = ("states", "covariances", "innovations", "nis", "log_likelihood", "diverged")
 
 
-def run(chosen: Filter, batch: Batch, table: Array, interval: int, everything: bool) -> Run:
+def run(
+    chosen: Filter, batch: StateSpaceBatch, table: Array, interval: int, everything: bool
+) -> Run:
     """Run one filter over a batch; see `navgym.problem.Problem.run`.
 
     Args:
@@ -39,7 +41,7 @@ def run(chosen: Filter, batch: Batch, table: Array, interval: int, everything: b
     return as_run(family.estimate(chosen, batch, table, interval, everything), batch, everything)
 
 
-def as_run(found: Mapping[str, Array], batch: Batch, everything: bool) -> Run:
+def as_run(found: Mapping[str, Array], batch: StateSpaceBatch, everything: bool) -> Run:
     """What kernels wrote, by name, as a `Run`."""
     heard = degrees_of_freedom(batch.lost)
     extras = {name: each for name, each in found.items() if name not in STANDARD}
@@ -47,7 +49,7 @@ def as_run(found: Mapping[str, Array], batch: Batch, everything: bool) -> Run:
     return Run(**standard, components=heard if everything else heard[:, :0], extras=extras)
 
 
-def _check_linear(chosen: Filter, batch: Batch) -> None:
+def _check_linear(chosen: Filter, batch: StateSpaceBatch) -> None:
     """ValueError where a filter for linear models is given another one."""
     if chosen.nonlinear or batch.linear:
         return
@@ -58,6 +60,6 @@ def _check_linear(chosen: Filter, batch: Batch) -> None:
     )
 
 
-def estimate(chosen: Filter, batch: Batch, run: Run) -> Estimate:  # noqa: ARG001
+def estimate(chosen: Filter, batch: StateSpaceBatch, run: Run) -> Estimate:  # noqa: ARG001
     """What a filter made of a batch's only recording."""
     return Estimate.of(run, batch.time_of(0))

@@ -16,7 +16,7 @@ from navgym.deck.batch import DeckBatch
 from navgym.envs.base import INFORMATION, TERMINATED, TRUNCATED
 from navgym.problem import PROBLEMS, problem_of
 from navgym.simulation import find_scenario, simulate_many
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from tests.agents import hand_made
 from tests.agents.both import AUV, DECK, run, run_deck
 
@@ -70,7 +70,9 @@ def test_an_auv_schedule_gives_the_engines_states_to_the_last_bit(action, interv
                    reference={"initial_count": 30.0})  # fmt: skip
     recordings = auv(2, loss=0.3) + simulate_many("auv/switch-B", [9], steps=77, loss=0.3)
     found = roll_out(chooser, recordings)
-    states = run(replay_filter(chooser), Batch.of(recordings), found.schedules, found.interval)
+    states = run(
+        replay_filter(chooser), StateSpaceBatch.of(recordings), found.schedules, found.interval
+    )
     trail, _ = stepped(chooser, recordings)
     np.testing.assert_array_equal(states.states, trail)
     assert found.schedules[0]["initial_count"] == 30.0

@@ -17,7 +17,7 @@ from navgym.agents.combiner.combiner import KIND, bank_facts
 from navgym.agents.policies import portable
 from navgym.auv.scenarios import Loss
 from navgym.simulation import simulate_many
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters import combiner as kernels
 from navgym.statespace.filters.modes import BANK
 from navgym.tuning.cases import Cases
@@ -179,7 +179,7 @@ def test_a_recording_is_estimated_alike_in_any_batch():
     recordings = [navgym.simulate("auv/switch-B", i, steps=s) for i, s in enumerate(lengths)]
     recordings.append(navgym.simulate("auv/component-loss", 1, steps=70))
     combiner = network()
-    together = combiner.run(Batch.of(recordings), everything=True)
+    together = combiner.run(StateSpaceBatch.of(recordings), everything=True)
     for i, recording in enumerate(recordings):
         alone = combiner.estimate(recording)
         identical({n: getattr(together, n)[i, : len(recording)] for n in NAMES}, alone)
@@ -226,7 +226,9 @@ def test_a_failure_of_the_bank_is_told_and_spares_the_others():
     good = navgym.simulate("auv/switch-D", 3, steps=40)
     y = good.measurements.copy()
     y[20] = 1e200
-    found = network().run(Batch.of([altered(good, measurements=y), good]), everything=True)
+    found = network().run(
+        StateSpaceBatch.of([altered(good, measurements=y), good]), everything=True
+    )
     assert found.diverged.tolist() == [True, False]
     assert np.isnan(found.states[0, 20:]).all()
     assert np.isnan(found.covariances[0, 20:]).all()
@@ -234,7 +236,7 @@ def test_a_failure_of_the_bank_is_told_and_spares_the_others():
 
 
 def test_states_alone_are_the_same_states():
-    batch = Batch.of(simulate_many("auv/switch-B", range(3), 80))
+    batch = StateSpaceBatch.of(simulate_many("auv/switch-B", range(3), 80))
     brief, full = (network().run(batch, everything=e) for e in (False, True))
     np.testing.assert_array_equal(brief.states, full.states)
     assert brief.covariances.size == 0

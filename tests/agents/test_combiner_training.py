@@ -16,7 +16,7 @@ from navgym.agents.combiner.training import Network, Trainer, gains, mixed, trai
 from navgym.agents.training import checkpoints
 from navgym.command import main as command
 from navgym.core.seeds import seeds, split_of
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters import combiner as kernels
 from tests.agents.both import run
 from tests.agents.small import quiet
@@ -106,7 +106,7 @@ def test_it_learns_what_it_is_shown(tmp_path):
 def test_the_network_in_torch_is_the_kernels():
     torch = pytest.importorskip("torch")
     torch.manual_seed(1)
-    batch = Batch.of(tiny(None).simulated(SCENARIOS, seeds("train", 3)))
+    batch = StateSpaceBatch.of(tiny(None).simulated(SCENARIOS, seeds("train", 3)))
     of = material(tiny(None).simulated(SCENARIOS, seeds("train", 3)))
     network = Network.for_inputs(48, of.inputs)
     for parameter in network.layers["out"].parameters():
@@ -122,7 +122,7 @@ def test_the_network_in_torch_is_the_kernels():
 
 def test_material_is_what_bank_and_oracle_say():
     recordings = tiny(None).simulated(SCENARIOS, seeds("train", 4))
-    of, batch = material(recordings), Batch.of(recordings)
+    of, batch = material(recordings), StateSpaceBatch.of(recordings)
     bank = run("bank", batch).states[..., [0, 2]]
     weights = np.exp(of.log_weights)[..., None]
     mean = (weights * of.offsets).sum(2) + of.scatter + batch.truth[..., [0, 2]]
@@ -185,7 +185,7 @@ def test_the_command_line_reports_on_a_combiner(made, tmp_path, capsys):
     assert "gain over bank" in capsys.readouterr().out
     (row,) = json.loads((tmp_path / "report.json").read_text())
     cases = navgym.seeds("test", 4)
-    batch = Batch.of([navgym.simulate("auv/switch-B", s) for s in cases])
+    batch = StateSpaceBatch.of([navgym.simulate("auv/switch-B", s) for s in cases])
     error = np.sqrt(((run("bank", batch).states - batch.truth)[..., [0, 2]] ** 2).sum(-1).mean(1))
     assert row["bank"] == pytest.approx(error.mean())
     assert row["difference"]["relative_gain"] == pytest.approx(1 - row["error"] / row["bank"])

@@ -37,7 +37,7 @@ from navgym.core.data import VARIABLE
 from navgym.core.seeds import split_of
 from navgym.problem import problem_of
 from navgym.simulation import simulate_many
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters.combiner import shapes
 from navgym.statespace.filters.modes import MODE_SETS
 from navgym.tuning.comparison import Comparison, Entry, rows_of
@@ -286,7 +286,7 @@ def test_a_stream_is_the_policy_where_it_knows_the_sea_and_best_fixed_where_not(
     policy = Policy(policy.manifest, policy.layers, None, policy.low, policy.high)
     recordings = simulate_many("auv/switch-D", range(2), steps=100)
     states, shares = stream(policy, recordings, 100)
-    batch = Batch.of(recordings)
+    batch = StateSpaceBatch.of(recordings)
     rolled = roll_out(Learnt(policy), recordings)
     own = run("qivbf", batch, rolled.schedules, rolled.interval).states
     fixed = run("qivbf", batch, dict(policy.manifest.reference)).states

@@ -8,7 +8,7 @@ import pytest
 import navgym
 from navgym.auv.scenarios import Loss
 from navgym.auv.simulation import draw_losses
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from tests.helpers import run
 
 GT_HEADER = (
@@ -209,7 +209,7 @@ def real_rmse(akit):
     """Position RMSE by filter and loss rate, one per track and seed."""
     found = {}
     for loss in (0.1, 0.3, 0.5):
-        batch = Batch.of(
+        batch = StateSpaceBatch.of(
             [navgym.read("akit", akit, track=n, loss=loss, seed=s) for n in TRACKS for s in SEEDS]
         )
         for name in ("kf", "kf_extrapolate", "kf_zero"):

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import navgym
 from navgym.auv.alignment import Reference, align_reference
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from tests.auv.test_akit import DVL_HEADER, GT_HEADER, write_track
 from tests.helpers import run
 
@@ -237,7 +237,7 @@ def test_aligned_the_real_dvl_agrees_with_the_reference(akit, track):
 )
 def test_most_of_the_error_on_tracks_as_published_is_not_filtering(real, loss, least, most):
     """The prototype's predict-only Kalman filter had these, and .73/.82/1.13 m as published."""
-    batch = Batch.of(real[loss])
+    batch = StateSpaceBatch.of(real[loss])
     error = (run("kf", batch).states - batch.truth)[..., [0, 2]]
     rmse = np.sqrt(np.nanmean((error**2).sum(-1), axis=-1)).mean()
     assert least - 0.005 < rmse < most + 0.005

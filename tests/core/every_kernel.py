@@ -32,7 +32,7 @@ from navgym.ins.live import LiveINS
 from navgym.ins.model import AidingModel
 from navgym.ins.recording import Aiding
 from navgym.ins.settings import INSDropoutSettings
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters import combiner, modes
 from tests.deck.lanes import outputs_for, prepare, rule_of, run_alignment, run_bank
 from tests.helpers import NAMES
@@ -94,7 +94,7 @@ def mixture():
         name: 0.1 * rng.standard_normal(shape)
         for name, shape in combiner.shapes(chosen, combiner.UNITS).items()
     }
-    batch = Batch.of([navgym.simulate("auv/heavy", seed=1, steps=8, loss=0.3)])
+    batch = StateSpaceBatch.of([navgym.simulate("auv/heavy", seed=1, steps=8, loss=0.3)])
     table = navgym.parameter_space("bank").array()[None]
     return combiner.estimate(
         combiner.pack(chosen, arrays), chosen, batch, table, everything=True, watch=True

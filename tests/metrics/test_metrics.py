@@ -10,7 +10,7 @@ from scipy import stats
 import navgym
 from navgym import metrics
 from navgym.simulation import simulate_many
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from tests.helpers import run
 
 # --- errors ---------------------------------------------------------------------------------------
@@ -155,7 +155,7 @@ def test_nees_of_known_numbers():
 @pytest.fixture(scope="module")
 def matched():
     """200 recordings of the nominal scenario (30 % lost), filtered by the matched `kf`."""
-    batch = Batch.of(simulate_many("auv/nominal", navgym.seeds("test", 200), steps=150))
+    batch = StateSpaceBatch.of(simulate_many("auv/nominal", navgym.seeds("test", 200), steps=150))
     return batch, run("kf", batch, everything=True)
 
 
@@ -179,7 +179,9 @@ def test_position_nees_is_chi_square_with_two_degrees(matched):
 
 @pytest.mark.parametrize("scenario", ["nominal", "component-loss", "position-only"])
 def test_nis_of_the_matched_filter_is_chi_square_in_what_was_received(scenario):
-    batch = Batch.of(simulate_many(f"auv/{scenario}", navgym.seeds("test", 100), steps=200))
+    batch = StateSpaceBatch.of(
+        simulate_many(f"auv/{scenario}", navgym.seeds("test", 100), steps=200)
+    )
     nis = run("kf", batch, everything=True).nis
     dof = metrics.degrees_of_freedom(batch.lost)
     assert np.array_equal(np.isnan(nis), dof == 0)
@@ -229,7 +231,9 @@ def test_the_filter_settles_on_the_riccati_limit():
 
 
 def test_errors_of_the_filter_reach_the_riccati_limit():
-    batch = Batch.of(simulate_many("auv/nominal", navgym.seeds("test", 200), steps=300, loss=0.0))
+    batch = StateSpaceBatch.of(
+        simulate_many("auv/nominal", navgym.seeds("test", 200), steps=300, loss=0.0)
+    )
     squared = metrics.squared_error(run("kf", batch).states, batch.truth, (0, 2))[:, 100:]
     limit = metrics.rms(metrics.steady_state(navgym.LinearModel()).filtered, (0, 2))
     assert metrics.summarize(squared).pooled == pytest.approx(limit, rel=0.02)
@@ -275,7 +279,7 @@ def test_mean_covariance_of_the_filter_lies_between_the_bounds(rate):
         navgym.Recording(np.arange(1000.0), np.zeros((1000, 1)), lost=~a, model=model)
         for a in arrived
     ]
-    filtered = run("kf", Batch.of(recordings), everything=True).covariances[:, 50:, 0, 0]
+    filtered = run("kf", StateSpaceBatch.of(recordings), everything=True).covariances[:, 50:, 0, 0]
     mean = (1.25**2 * filtered + 1.0).mean()
     bounds = metrics.loss_bounds(model, rate)
     assert bounds.lower.item() < mean < bounds.upper.item() + 1e-9

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import navgym
 from navgym.simulation import simulate_many
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters import kalman
 from navgym.statespace.filters.bank import separable
 from navgym.statespace.filters.modes import (
@@ -201,7 +201,7 @@ def test_equal_modes_are_the_kalman_filter_and_keep_equal_weights(problem, stay)
 def test_shared_covariance_costs_less_than_two_in_a_thousand():
     """Within .2 % of the 4 x 4 covariance, in RMSE: docs/science/qivbf.md#bank-and-combiner."""
     recordings = simulate_many("auv/switch-B", range(10))
-    batch = Batch.of(recordings)
+    batch = StateSpaceBatch.of(recordings)
     shared = run("bank", batch).states
     whole = np.stack([run_bank(r, BANK, FULL)["states"] for r in recordings])
     rmse = [np.sqrt(((s - batch.truth)[..., [0, 2]] ** 2).sum(-1).mean()) for s in (shared, whole)]
@@ -320,7 +320,9 @@ def test_an_outlier_hardly_moves_the_bank():
 
 def test_log_likelihood_prefers_the_true_noise_scale():
     """The mixture's log-likelihood is a density of the data: best, on average, at the truth."""
-    batch = Batch.of(simulate_many("auv/nominal", range(20), measurement_scale=4.0, loss=0.0))
+    batch = StateSpaceBatch.of(
+        simulate_many("auv/nominal", range(20), measurement_scale=4.0, loss=0.0)
+    )
 
     def total(scale):
         found = run("imm", batch, {"measurement_noise_scale": scale}, everything=True)

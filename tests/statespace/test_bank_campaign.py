@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import navgym
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from tests.helpers import run
 
 STEPS = 12
@@ -51,7 +51,7 @@ def test_nothing_that_is_no_number_goes_unflagged(name, kind):
             time = np.cumsum(rng.uniform(0.01, 100.0, STEPS))
             y = size * rng.standard_normal((STEPS, 4))
             recordings.append(navgym.Recording(time, y, lost, model=model))
-        found = run(name, Batch.of(recordings), everything=True)
+        found = run(name, StateSpaceBatch.of(recordings), everything=True)
         bad = ~np.isfinite(found.states).all((1, 2)) | ~np.isfinite(found.covariances).all(
             (1, 2, 3)
         )

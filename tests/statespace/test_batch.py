@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import navgym
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 
 RECORDINGS = [
     navgym.simulate("auv/switch-B", seed, steps=steps)
@@ -13,7 +13,7 @@ RECORDINGS = [
 
 
 def test_each_recording_keeps_its_samples_and_is_lost_beyond_its_end():
-    batch = Batch.of(RECORDINGS)
+    batch = StateSpaceBatch.of(RECORDINGS)
     assert len(batch) == 3
     assert batch.lengths.tolist() == [30, 50, 40]
     for i, r in enumerate(RECORDINGS):
@@ -31,13 +31,16 @@ def test_each_recording_keeps_its_samples_and_is_lost_beyond_its_end():
 
 
 def test_some_of_a_batch_are_the_batch_of_some():
-    some, wanted = Batch.of(RECORDINGS).take([2, 1]), Batch.of([RECORDINGS[2], RECORDINGS[1]])
+    some, wanted = (
+        StateSpaceBatch.of(RECORDINGS).take([2, 1]),
+        StateSpaceBatch.of([RECORDINGS[2], RECORDINGS[1]]),
+    )
     for name in ("y", "lost", "time", "models", "scales", "truth", "lengths"):
         np.testing.assert_array_equal(getattr(some, name), getattr(wanted, name))
 
 
 def test_the_true_noise_can_be_kept_from_a_filter():
-    batch = Batch.of(RECORDINGS)
+    batch = StateSpaceBatch.of(RECORDINGS)
     blind = batch.without_scales()
     assert blind.scales is None
     assert blind.take([0]).scales is None
@@ -47,15 +50,15 @@ def test_the_true_noise_can_be_kept_from_a_filter():
 def test_truth_and_scales_are_there_if_all_recordings_have_them():
     r = RECORDINGS[0]
     bare = navgym.Recording(r.time, r.measurements, model=r.model)
-    mixed = Batch.of([r, bare])
+    mixed = StateSpaceBatch.of([r, bare])
     assert mixed.truth is None
     assert mixed.scales is None
 
 
 def test_only_recordings_of_one_model_size_go_together():
     with pytest.raises(ValueError, match="at least one Recording"):
-        Batch.of([])
+        StateSpaceBatch.of([])
     with pytest.raises(TypeError, match=r"must be a navgym\.Recording"):
-        Batch.of([RECORDINGS[0], "auv"])
+        StateSpaceBatch.of([RECORDINGS[0], "auv"])
     with pytest.raises(ValueError, match="share one model size"):
-        Batch.of([RECORDINGS[0], navgym.simulate("auv/position-only", 0, steps=9)])
+        StateSpaceBatch.of([RECORDINGS[0], navgym.simulate("auv/position-only", 0, steps=9)])

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from navgym import LinearModel, Recording, metrics
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from tests.helpers import run
 
 STEPS, RUNS = 1000, 200
@@ -72,7 +72,7 @@ def estimates():
     time = np.arange(1.0, STEPS + 1)
 
     def batch(believed):
-        return Batch.of([Recording(time, y, truth=x, model=believed) for x, y in data])
+        return StateSpaceBatch.of([Recording(time, y, truth=x, model=believed) for x, y in data])
 
     exact, nominal = batch(model(Q, R)), batch(model(np.eye(4), 100.0 * I2))
     return {
@@ -118,7 +118,7 @@ def test_the_adaptive_filter_lies_between_the_nominal_and_the_true_one(estimates
 def test_the_true_filter_reaches_its_own_covariance():
     """Riccati 3.698 m, 3.837 m/s, from the filter's covariances: no random numbers enter."""
     recording = Recording(np.arange(1.0, STEPS + 1), np.zeros((STEPS, 2)), model=model(*noise()))
-    P = run("kf", Batch.of([recording]), everything=True).covariances[0]
+    P = run("kf", StateSpaceBatch.of([recording]), everything=True).covariances[0]
     for indices, expected in ((POSITION, 3.698), (VELOCITY, 3.837)):
         rms = np.sqrt(np.diagonal(P, axis1=1, axis2=2)[:, indices].sum(axis=1)).mean()
         assert rms == pytest.approx(expected, abs=5e-4)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 import navgym
 from navgym.simulation import simulate_many
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters import kalman as family
 from tests.helpers import assert_definite, identical, problems, run, run_family, same
 from tests.twins.kalman import conditioned, kalman
@@ -130,7 +130,7 @@ def test_mean_covariance_keeps_to_the_bounds_of_sinopoli(arrival, low, high):
     model = navgym.LinearModel(F=[[-1.25]], Q=[[1.0]], R=[[2.5]])
     lost = np.random.default_rng(0).random((200, 300)) >= arrival
     time, y = np.arange(300.0), np.zeros((300, 1))
-    batch = Batch.of([navgym.Recording(time, y, row, model=model) for row in lost])
+    batch = StateSpaceBatch.of([navgym.Recording(time, y, row, model=model) for row in lost])
     posterior = run("kf", batch, everything=True).covariances[:, 50:, 0, 0]
     assert low <= (1.25**2 * posterior + 1.0).mean() <= high
 
@@ -152,7 +152,7 @@ def test_joseph_form_keeps_p_definite_where_the_plain_form_fails(name):
 
 def test_nees_and_nis_of_the_matched_filter_are_chi_square():
     recordings = simulate_many("auv/nominal", range(300), steps=60)
-    batch = Batch.of(recordings)
+    batch = StateSpaceBatch.of(recordings)
     found = run("kf", batch, everything=True)
     error = found.states - batch.truth
     nees = np.einsum("nki,nkij,nkj->nk", error, np.linalg.inv(found.covariances), error)
@@ -172,7 +172,7 @@ def test_oracle_is_the_filter_with_the_true_scales():
 
 
 def position_rmse(name, recordings):
-    batch = Batch.of(recordings)
+    batch = StateSpaceBatch.of(recordings)
     error = (run(name, batch).states - batch.truth)[..., [0, 2]]
     return np.sqrt((error**2).sum(-1).mean())
 
@@ -183,4 +183,4 @@ def test_filling_with_zeros_diverges_and_holding_costs_twice_as_much():
     assert plain == pytest.approx(0.738, rel=0.05)  # docs/science/qivbf.md#expected-errors
     assert position_rmse("kf_hold", recordings) == pytest.approx(1.43, rel=0.15)
     assert position_rmse("kf_zero", recordings) > 100.0
-    assert run("kf_zero", Batch.of(recordings)).diverged.mean() > 0.5
+    assert run("kf_zero", StateSpaceBatch.of(recordings)).diverged.mean() > 0.5

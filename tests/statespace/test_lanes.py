@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import navgym
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters.catalogue import CATALOGUE
 from tests.helpers import (
     assert_definite,
@@ -119,7 +119,7 @@ def tracks(count):
 @pytest.mark.parametrize("size", [1, 3, 7])
 def test_company_and_padding_change_nothing(name, size):
     recordings = tracks(7)
-    found = run(name, Batch.of(recordings[:size]), everything=True)
+    found = run(name, StateSpaceBatch.of(recordings[:size]), everything=True)
     for i, recording in enumerate(recordings[:size]):
         alone = navgym.estimate(name, recording)
         identical(lane(found, i, len(recording)), alone)
@@ -138,9 +138,9 @@ def poisoned(recording, k, value=1e300):
 @every
 def test_a_broken_lane_disturbs_no_other_and_shows_no_number(name):
     recordings = [navgym.simulate("auv/switch-B", seed, steps=60) for seed in range(3)]
-    healthy = run(name, Batch.of(recordings), everything=True)
+    healthy = run(name, StateSpaceBatch.of(recordings), everything=True)
     recordings[1] = poisoned(recordings[1], 10)
-    found = run(name, Batch.of(recordings), everything=True)
+    found = run(name, StateSpaceBatch.of(recordings), everything=True)
     for i in (0, 2):
         identical(lane(found, i), lane(healthy, i))
         assert found.diverged[i] == healthy.diverged[i]
@@ -197,7 +197,7 @@ def test_lost_values_are_never_read(name):
 
 @every
 def test_without_everything_only_the_states_are_computed_and_are_the_same(name):
-    batch = Batch.of([navgym.simulate("auv/nominal", 0, steps=50)])
+    batch = StateSpaceBatch.of([navgym.simulate("auv/nominal", 0, steps=50)])
     short, full = run(name, batch), run(name, batch, everything=True)
     np.testing.assert_array_equal(short.states, full.states)
     assert short.covariances.shape[1] == short.nis.shape[1] == 0
@@ -234,6 +234,6 @@ def test_a_long_outage_is_no_divergence(name):
 def test_padding_says_nothing(name):
     long = navgym.simulate("auv/nominal", seed=1, steps=90)
     short = navgym.simulate("auv/nominal", seed=2, steps=30)
-    found = run(name, Batch.of([long, short]))
+    found = run(name, StateSpaceBatch.of([long, short]))
     np.testing.assert_array_equal(found.states[1, :30], navgym.estimate(name, short).states)
     assert np.isnan(found.states[1, 30:]).all()

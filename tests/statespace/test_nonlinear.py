@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import navgym
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters import nonlinear
 from navgym.statespace.filters.catalogue import CATALOGUE
 from navgym.statespace.turn_model import DEGREE, RECORD
@@ -242,7 +242,7 @@ def test_landing_on_the_beacon_is_flagged_and_leaves_the_neighbours_exact():
     model = navgym.CoordinatedTurnModel(x0=[-1.5, 1.5, 0, 0, 0])
     doomed = navgym.Recording([1.0, 2.0], np.ones((2, 4)), model=model)
     healthy = turn_recording(navgym.CoordinatedTurnModel(), 2)
-    together = run("ekf", Batch.of([healthy, doomed, healthy]))
+    together = run("ekf", StateSpaceBatch.of([healthy, doomed, healthy]))
     assert together.diverged.tolist() == [False, True, False]
     assert np.isnan(together.states[1]).all()
     for i in (0, 2):
@@ -272,7 +272,9 @@ def test_noise_of_the_scenario_is_what_the_model_says():
 @pytest.fixture(scope="module")
 def fleet():
     """Sixty fresh voyages of the scenario."""
-    return Batch.of([navgym.simulate(SCENARIO, s) for s in navgym.seeds("validation", 60)])
+    return StateSpaceBatch.of(
+        [navgym.simulate(SCENARIO, s) for s in navgym.seeds("validation", 60)]
+    )
 
 
 def test_no_filter_beats_another_on_the_coordinated_turn(fleet):

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import navgym
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters import kalman, qivbf
 from tests.helpers import identical, problems, random_model, random_problem, run, run_family, same
 from tests.twins.vb import elbo, variational, vb_step
@@ -243,7 +243,7 @@ def test_an_outage_teaches_nothing_about_the_noise_and_forgets_only_so_much(fill
 
 @pytest.mark.parametrize("forgetting", [0.9, 0.97, 0.995])
 def test_the_filter_recovers_at_once_from_a_long_outage(forgetting):
-    batch = Batch.of([outage(seed) for seed in range(30)])
+    batch = StateSpaceBatch.of([outage(seed) for seed in range(30)])
 
     def rmse(name, parameters):
         error = (run(name, batch, parameters).states - batch.truth)[:, 400:450, [0, 2]]

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 import navgym
 from navgym.simulation import simulate_many
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters import qivbf_printed
 from tests.helpers import problems, run, run_family, same
 from tests.twins.printed import printed
@@ -29,7 +29,7 @@ def test_it_agrees_with_its_twin(problem, sweeps, tau, count0):
 @pytest.mark.parametrize("sweeps", [1, 5, 20])
 def test_it_diverges_in_most_runs_even_when_nothing_is_lost(sweeps):
     """In about 90 % of runs (docs/science/qivbf.md#errata) an error above a hundred sigma."""
-    batch = Batch.of(simulate_many("auv/nominal", range(60), loss=0.0))
+    batch = StateSpaceBatch.of(simulate_many("auv/nominal", range(60), loss=0.0))
     found = run("qivbf_printed", batch, {"vb_iterations": sweeps})
     error = np.abs(found.states - batch.truth)[..., [0, 2]].max((1, 2))
     assert np.mean(~(error < 100.0)) > 0.75
@@ -38,7 +38,7 @@ def test_it_diverges_in_most_runs_even_when_nothing_is_lost(sweeps):
 
 
 def test_its_divergence_is_flagged_and_that_of_the_corrected_filter_does_not_occur():
-    batch = Batch.of(simulate_many("auv/nominal", range(60), loss=0.0))
+    batch = StateSpaceBatch.of(simulate_many("auv/nominal", range(60), loss=0.0))
     found = run("qivbf_printed", batch)
     lost = np.abs(found.states - batch.truth)[..., [0, 2]].max((1, 2)) > 100.0
     assert lost.mean() > 0.75

@@ -292,10 +292,10 @@ def doubled(C, n):
 
 def structure_of(model):
     """What a bank knows of a model: see `Structure`."""
-    from navgym.statespace.batch import Batch
+    from navgym.statespace.batch import StateSpaceBatch
     from navgym.statespace.recording import Recording
 
     steps = model.steps or 1
     rows = np.zeros((steps, model.m))
     recording = Recording(np.arange(1.0, steps + 1.0), rows, rows == 0, model=model)
-    return Structure.of(Batch.of([recording]))
+    return Structure.of(StateSpaceBatch.of([recording]))

@@ -13,7 +13,7 @@ import numpy as np
 import navgym
 from navgym.auv.problem import PROBLEM
 from navgym.simulation import simulate_many
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from navgym.tuning.benchmarks.timing import Row, episodes, measured, paired, python, seconds
 
 ENV = "navgym/AUVDropout-v0"
@@ -71,7 +71,7 @@ def objective(rounds: int) -> Row:
     """Cost of one evaluation of a tuning objective per filter step, everything included."""
     from navgym.tuning.objectives import Objective
 
-    batch = Batch.of(simulate_many("auv/switch-D", navgym.seeds("train", 40), steps=800))
+    batch = StateSpaceBatch.of(simulate_many("auv/switch-D", navgym.seeds("train", 40), steps=800))
     evaluate = Objective("qivbf", ("forgetting", "process_noise_scale"), batch)
     values = {"forgetting": 0.9, "process_noise_scale": 3.0}
     evaluate(values)
@@ -90,7 +90,7 @@ def against_filterpy(rounds: int) -> Row:
     from filterpy.kalman import KalmanFilter
 
     recordings = simulate_many("auv/nominal", navgym.seeds("test", 20))
-    batch = Batch.of(recordings)
+    batch = StateSpaceBatch.of(recordings)
 
     def theirs() -> None:
         for r in recordings:
@@ -116,7 +116,7 @@ def against_dynamax(rounds: int) -> Row:
     from dynamax.linear_gaussian_ssm import LinearGaussianSSM, lgssm_filter
 
     jax.config.update("jax_enable_x64", True)
-    batch = Batch.of(simulate_many("auv/nominal", navgym.seeds("test", 1000), loss=0.0))
+    batch = StateSpaceBatch.of(simulate_many("auv/nominal", navgym.seeds("test", 1000), loss=0.0))
     model = navgym.LinearModel()
     # dynamax predicts after the update; start it one prediction later
     x1 = model.F @ model.x0
@@ -153,7 +153,7 @@ def start_up(rounds: int) -> list[Row]:
 
 def filters_table(rounds: int) -> list[Row]:
     """Cost of each filter per sample, one core."""
-    batch = Batch.of(simulate_many("auv/switch-D", navgym.seeds("test", 50)))
+    batch = StateSpaceBatch.of(simulate_many("auv/switch-D", navgym.seeds("test", 50)))
     rows = []
     for name in PROBLEM.filters:
         try:

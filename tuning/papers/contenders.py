@@ -7,7 +7,7 @@ import numpy as np
 import navgym
 from navgym.auv.problem import PROBLEM
 from navgym.core.checks import Array
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters.modes import MODE_SETS, Modes, Structure
 from navgym.statespace.recording import Recording
 from navgym.tuning.comparison import Entry
@@ -39,7 +39,7 @@ def bank_beliefs(recording: Recording) -> dict[str, Array]:
     A manoeuvre that has outliers, too, counts as a manoeuvre.
     """
     weights = navgym.estimate("bank", recording).extras["regimes"]
-    regimes = Modes.of(MODE_SETS["bank"], Structure.of(Batch.of([recording]))).regimes
+    regimes = Modes.of(MODE_SETS["bank"], Structure.of(StateSpaceBatch.of([recording]))).regimes
     pushed = np.array([r.process > 1.0 for r in regimes])
     outlying = np.array([r.outliers for r in regimes]) & ~pushed
     kinds = {"nominal": ~pushed & ~outlying, "outlier": outlying, "manoeuvre": pushed}

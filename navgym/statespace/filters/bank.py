@@ -23,7 +23,7 @@ from navgym.core.checks import Array
 from navgym.core.compile import kernel, part
 from navgym.core.health import settle
 from navgym.core.sizes import sample_size, state_size
-from navgym.statespace.batch import Batch, outputs
+from navgym.statespace.batch import StateSpaceBatch, outputs
 from navgym.statespace.filters.lane import (
     PERIOD,
     expect,
@@ -165,7 +165,7 @@ def separable(models: NDArray[Any]) -> bool:
 
 
 def estimate(
-    chosen: Filter, batch: Batch, table: Array, interval: int, everything: bool
+    chosen: Filter, batch: StateSpaceBatch, table: Array, interval: int, everything: bool
 ) -> dict[str, Array]:
     """Run the bank `chosen` over a batch; see `navgym.estimation.run`.
 
@@ -191,7 +191,7 @@ def _members(group: NDArray[np.int64], count: int) -> Array:
 
 def run_lanes(
     runner: Callable[..., None],
-    batch: Batch,
+    batch: StateSpaceBatch,
     table: Array,
     interval: int,
     structure: Structure,

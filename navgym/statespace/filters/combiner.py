@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from navgym.core.checks import Array
 from navgym.core.compile import kernel, part
 from navgym.core.health import NUMERICAL
-from navgym.statespace.batch import Batch, outputs
+from navgym.statespace.batch import StateSpaceBatch, outputs
 from navgym.statespace.filters.bank import (
     MEASUREMENT,
     OUTLIER_RATE,
@@ -100,7 +100,7 @@ def idle(modes: ModeSet) -> NDArray[Any]:
     return pack(modes, {name: np.zeros(shape) for name, shape in shapes(modes, UNITS).items()})
 
 
-def fits(batch: Batch) -> bool:
+def fits(batch: StateSpaceBatch) -> bool:
     """Whether a network can read a bank on this batch: models that tell it what it was taught."""
     if "H" not in (batch.models.dtype.names or ()):
         return False
@@ -135,7 +135,7 @@ def memory_type(read: int, units: int, moved: int, modes: int) -> np.dtype[Any]:
 def estimate(
     network: NDArray[Any],
     modes: ModeSet,
-    batch: Batch,
+    batch: StateSpaceBatch,
     table: Array,
     everything: bool,
     watch: bool = False,

@@ -19,7 +19,7 @@ from navgym.core.compile import kernel, part
 from navgym.core.health import settle
 from navgym.core.linalg import predict
 from navgym.core.sizes import sample_size
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters.lane import (
     apply_innovation,
     estimate_lanes,
@@ -48,7 +48,7 @@ def lane_type(n: int, m: int) -> np.dtype[Any]:
 
 
 def estimate(
-    chosen: Filter, batch: Batch, table: Array, interval: int, everything: bool
+    chosen: Filter, batch: StateSpaceBatch, table: Array, interval: int, everything: bool
 ) -> dict[str, Array]:
     """Run the filter `chosen` over a batch; see `navgym.estimation.run`."""
     if not chosen.needs_scales:

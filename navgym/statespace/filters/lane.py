@@ -17,7 +17,7 @@ from navgym.core.compile import inline, part
 from navgym.core.health import NUMERICAL, POWER_MEMORY, RUNAWAY
 from navgym.core.linalg import correct, innovate, joseph, observe_vector
 from navgym.core.sizes import sample_size, state_size
-from navgym.statespace.batch import Batch, outputs
+from navgym.statespace.batch import StateSpaceBatch, outputs
 
 LOG_2PI = math.log(2.0 * math.pi)
 NO_LIMIT = 2**62
@@ -79,7 +79,7 @@ def start(lanes: NDArray[Any], models: NDArray[Any]) -> None:
 
 
 def estimate_lanes(
-    family: Any, batch: Batch, table: Array, interval: int, option: int, everything: bool
+    family: Any, batch: StateSpaceBatch, table: Array, interval: int, option: int, everything: bool
 ) -> dict[str, Any]:
     """Run a family of filters (a module with `lane_type`, `begin`, `run`) over a batch."""
     n, m = batch.models.dtype["x0"].shape[0], batch.y.shape[2]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from navgym.core.checks import Array
 
 if TYPE_CHECKING:
-    from navgym.statespace.batch import Batch
+    from navgym.statespace.batch import StateSpaceBatch
 
 # what stands here is frozen into kernels
 MOST_MODES = 104
@@ -177,7 +177,7 @@ class Structure:
     velocity: tuple[int, ...]
 
     @classmethod
-    def of(cls, batch: Batch) -> Structure:
+    def of(cls, batch: StateSpaceBatch) -> Structure:
         """The structure that all models of a batch have in common."""
         return cls.among(batch.models, batch.position, batch.velocity, batch.sensors)
 
@@ -189,7 +189,7 @@ class Structure:
         velocities: tuple[int, ...],
         sensors: tuple[str, ...],
     ) -> Structure:
-        """The structure that packed models (...) have in common; see `Batch` for the rest."""
+        """The structure that packed models (...) have in common; see `StateSpaceBatch` for the rest."""
         position, velocity = list(positions), list(velocities)
         H = models["H"].reshape(-1, *models["H"].shape[-2:])
         F = models["F"].reshape(-1, *models["F"].shape[-2:])

@@ -29,7 +29,7 @@ from navgym.core.health import NUMERICAL, settle
 from navgym.core.linalg import correct, factorise, observe_vector, predict, whiten
 from navgym.core.sizes import sample_size, state_size
 from navgym.statespace import models, turn_model
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters.lane import (
     apply_innovation,
     estimate_lanes,
@@ -69,7 +69,7 @@ def lane_type(n: int, m: int) -> np.dtype[Any]:
 
 
 def estimate(
-    chosen: Filter, batch: Batch, table: Array, interval: int, everything: bool
+    chosen: Filter, batch: StateSpaceBatch, table: Array, interval: int, everything: bool
 ) -> dict[str, Array]:
     """Run the filter `chosen` over a batch; see `navgym.estimation.run`."""
     table = padded(table, (1.0, 1.0, CUBATURE))

@@ -29,7 +29,7 @@ from navgym.core.linalg import (
     predict,
 )
 from navgym.core.sizes import sample_size, state_size
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters.lane import (
     PERIOD,
     estimate_lanes,
@@ -84,7 +84,7 @@ def lane_type(n: int, m: int) -> np.dtype[Any]:
 
 
 def estimate(
-    chosen: Filter, batch: Batch, table: Array, interval: int, everything: bool
+    chosen: Filter, batch: StateSpaceBatch, table: Array, interval: int, everything: bool
 ) -> dict[str, Array]:
     """Run the filter `chosen` over a batch; see `navgym.estimation.run`."""
     table = padded(table, (*table[0, 0, :6], 0.0, 1.0))

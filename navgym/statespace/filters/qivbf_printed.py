@@ -24,7 +24,7 @@ from navgym.core.compile import kernel, part
 from navgym.core.health import NUMERICAL, settle
 from navgym.core.linalg import correct, innovate, observe_vector
 from navgym.core.sizes import sample_size, state_size
-from navgym.statespace.batch import Batch
+from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters.lane import (
     estimate_lanes,
     expect,
@@ -52,7 +52,7 @@ def lane_type(n: int, m: int) -> np.dtype[Any]:
 
 def estimate(
     chosen: Filter,
-    batch: Batch,
+    batch: StateSpaceBatch,
     table: Array,
     interval: int,
     everything: bool,
