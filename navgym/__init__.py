@@ -1,7 +1,7 @@
 """navgym: Gymnasium environments and tuning tools for adaptive navigation filters.
 
 Names load on first use, so `import navgym` stays quick: `simulate`, `scenarios`, `seeds`, `read`,
-`geographic`, `estimate`, `filters`, `parameter_space`, and the data classes `Recording`,
+`geographic`, `estimate`, `smooth`, `filters`, `parameter_space`, and the data classes `Recording`,
 `LinearModel`, `CoordinatedTurnModel`, `Estimate`, `Parameter`, `ParameterSpace`; for two IMUs on a deck
 `DualIMURecording`, `DeckModel`, `FlexureModel`, `DeckEstimate`, `flexure_increments`, `identify`,
 `LiveBank`, `LiveDeckBank`.
@@ -41,6 +41,7 @@ _HOME = {
     "scenarios": "navgym.simulation",
     "seeds": "navgym.core.seeds",
     "simulate": "navgym.simulation",
+    "smooth": "navgym.estimation",
 }
 
 __all__ = [
@@ -67,6 +68,7 @@ __all__ = [
     "scenarios",
     "seeds",
     "simulate",
+    "smooth",
 ]
 
 if TYPE_CHECKING:
@@ -78,7 +80,7 @@ if TYPE_CHECKING:
     from navgym.deck.live_bank import LiveDeckBank
     from navgym.deck.model import DeckModel
     from navgym.deck.recording import DualIMURecording
-    from navgym.estimation import Estimate, estimate, filters, parameter_space
+    from navgym.estimation import Estimate, estimate, filters, parameter_space, smooth
     from navgym.identification import identify
     from navgym.inertial.flexure import FlexureModel
     from navgym.readers import read

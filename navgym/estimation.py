@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from navgym.core.checks import Array, one_of
 from navgym.core.parameters import ParameterSpace
 from navgym.metrics.whiteness import whiteness
-from navgym.problem import PROBLEMS, Problem, Run, problem_of, problems, problems_with
+from navgym.problem import PROBLEMS, Filter, Problem, Run, problem_of, problems, problems_with
 from navgym.tuned import settled
 
 if TYPE_CHECKING:
@@ -172,11 +172,72 @@ def estimate(
             filter cannot use.
         TypeError: something that is no recording.
     """
+    problem, chosen, batch, given = _asked(filter_name, recording, parameters)
+    run = problem.run(chosen, batch, given, decision_interval, everything=True)
+    return problem.estimate(chosen, batch, run)
+
+
+@overload
+def smooth(
+    filter_name: str,
+    recording: Recording,
+    parameters: Parameters = ...,
+    decision_interval: int | None = ...,
+) -> Estimate: ...
+
+
+@overload
+def smooth(
+    filter_name: str,
+    recording: DualIMURecording,
+    parameters: Parameters = ...,
+    decision_interval: int | None = ...,
+) -> DeckEstimate: ...
+
+
+@overload
+def smooth(
+    filter_name: str,
+    recording: Any,
+    parameters: Parameters = ...,
+    decision_interval: int | None = ...,
+) -> Any: ...
+
+
+def smooth(
+    filter_name: str,
+    recording: Any,
+    parameters: Parameters = None,
+    decision_interval: int | None = None,
+) -> Any:
+    """What a filter makes of a whole recording: every state by all measurements, later ones as well.
+
+    For what is taken for truth afterwards. By fixed-interval smoothing (Rauch, Tung & Striebel 1965).
+
+    Args:
+        filter_name: one that can be smoothed: kf and oracle of linear models; deck_bank, deck_bank_lever
+            and oracle of decks.
+        recording: as for `estimate`, and so are the others.
+        parameters: of the filter.
+        decision_interval: samples per row of a schedule.
+
+    Returns what `estimate` does. States and covariances are smoothed, but where the filter has failed on
+    its way: then they are its own, NaN from there on. Innovations, NIS and likelihoods are the filter's.
+
+    Raises ValueError and TypeError as `estimate`, and ValueError for a filter that cannot be smoothed.
+    """
+    problem, chosen, batch, given = _asked(filter_name, recording, parameters)
+    run = problem.smooth(chosen, batch, given, decision_interval)
+    return problem.estimate(chosen, batch, run)
+
+
+def _asked(
+    filter_name: str, recording: Any, parameters: Parameters
+) -> tuple[Problem, Filter, Any, Any]:
+    """Problem, filter, batch of the one recording and parameters that are meant."""
     problem = problem_of(recording) if not isinstance(recording, str) else None
     if problem is None or not isinstance(recording, problem.recording):
         raise TypeError(f"a recording must be a navgym.Recording, got {type(recording)}.")
     chosen = problem.find(filter_name)
     batch = problem.stack([recording])
-    given = settled(parameters, chosen.name, lambda: problem.noises(batch))
-    run = problem.run(chosen, batch, given, decision_interval, everything=True)
-    return problem.estimate(chosen, batch, run)
+    return problem, chosen, batch, settled(parameters, chosen.name, lambda: problem.noises(batch))

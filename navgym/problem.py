@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import numpy as np
@@ -59,6 +59,7 @@ class Filter:
         option: what these need to know beyond parameters (a fill, a mode set).
         needs_scales: whether it reads the true noise of a simulated recording.
         nonlinear: whether it takes any model, and not only a linear one.
+        smooths: whether `navgym.smooth` can go back over what it made.
     """
 
     name: str
@@ -68,6 +69,7 @@ class Filter:
     option: Any = 0
     needs_scales: bool = False
     nonlinear: bool = False
+    smooths: bool = False
 
 
 @dataclass(frozen=True)
@@ -453,6 +455,8 @@ class Problem:
         runner: (filter, batch, table of parameters, interval, everything) to a `Run`; raises
             ValueError for a batch that the filter cannot use.
         estimate: (filter, batch of one, run) to the estimate that users get.
+        smoother: (filter, batch of one, table of parameters, interval, run) to smoothed states (T, n) and
+            covariances (T, n, n), of filters that can be smoothed; the run is the filter's own.
         kernels: () to what touches every kernel once, pairs of a name and a function; those first
             that take longest to compile.
         plain: the filter that needs no tuning; several where models differ, the first that can.
@@ -486,6 +490,7 @@ class Problem:
     training: Training
     contest: Contest
     tracks: Tracks | None = None
+    smoother: Callable[[Filter, Any, Array, int, Run], tuple[Array, Array]] | None = None
     marks: Mapping[str, str] = field(default_factory=dict)
     told: Callable[[Any], list[tuple[str, str]]] | None = None
     noise: Callable[[Filter, Any], ParameterSpace] = lambda _, __: ParameterSpace(())
@@ -537,6 +542,37 @@ class Problem:
             everything: False computes `states`, `diverged` and extras only.
         """
         chosen = self.find(filter_name)
+        interval, batch, table = self._table(chosen, batch, parameters, decision_interval)
+        return self.runner(chosen, batch, table, interval, everything)
+
+    def smooth(
+        self,
+        filter_name: str | Filter,
+        batch: Any,
+        parameters: Any = None,
+        decision_interval: int | None = None,
+    ) -> Run:
+        """A filter's run over a batch of one recording, its states and covariances smoothed.
+
+        Raises ValueError for a filter that cannot be smoothed.
+        """
+        chosen = self.find(filter_name)
+        if not chosen.smooths or self.smoother is None:
+            able = ", ".join(f.name for f in self.filters.values() if f.smooths) or "none"
+            raise ValueError(
+                f"filter {chosen.name!r} cannot be smoothed; of this problem's filters can: {able}."
+            )
+        interval, batch, table = self._table(chosen, batch, parameters, decision_interval)
+        run = self.runner(chosen, batch, table, interval, True)
+        if not np.isfinite(run.states).all():
+            return run
+        states, covariances = self.smoother(chosen, batch, table, interval, run)
+        return replace(run, states=states[None], covariances=covariances[None])
+
+    def _table(
+        self, chosen: Filter, batch: Any, parameters: Any, decision_interval: int | None
+    ) -> tuple[int, Any, Array]:
+        """Interval, batch and table of the filter's own parameters, where models take the others."""
         interval = batch.decision_interval if decision_interval is None else decision_interval
         positive_int("decision_interval", interval)
         # an array has the filter's own columns; a dict may name the models' noise as well
@@ -550,7 +586,7 @@ class Problem:
         if len(space) > own:
             batch = self.believing(batch, table[:, 0, own:])
             table = np.ascontiguousarray(table[:, :, :own])
-        return self.runner(chosen, batch, table, interval, everything)
+        return interval, batch, table
 
     def space(self, filter_name: str | Filter, batch: Any) -> ParameterSpace:
         """What can be tuned in a filter on a batch: its own parameters, then its models' noise."""

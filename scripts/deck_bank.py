@@ -358,11 +358,12 @@ def _knowing(cases: Cases) -> Array:
     states, ends = np.zeros((1, len(right), n)), np.flatnonzero(np.diff(right)) + 1
     for first, last in pairwise([0, *ends, len(right)]):
         kinds = hypotheses.KINDS[right[first]][None]
-        rest = (np.zeros((1, 0), alignment.REPORT), np.zeros((1, 0, n, n)), np.zeros((1, 0, 1)), np.zeros((1, 0, 2, 3)))  # fmt: skip
-        part = np.zeros((1, last - first, n))
+        out = hypotheses.outputs_for(1, last - first, 1, everything=False)
         tapes = np.ascontiguousarray(batch.tapes[:, first:last])
-        bank.run(lanes, models, kinds, tapes, first, row, 1, *hypotheses.NOTHING_KNOWN, part, *rest)
-        states[:, first:last] = part
+        bank.run(
+            lanes, models, kinds, tapes, first, row, 1, *hypotheses.NOTHING_KNOWN, *out.values()
+        )
+        states[:, first:last] = out["states"]
     return states
 
 

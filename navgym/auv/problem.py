@@ -196,6 +196,7 @@ PROBLEM = Problem(
     stack=StateSpaceBatch.of,
     runner=lazy("navgym.statespace.run:run"),
     estimate=lazy("navgym.statespace.run:estimate"),
+    smoother=lazy("navgym.statespace.smoothing:smooth"),
     noise=lazy("navgym.statespace.noise:space"),
     believing=lazy("navgym.statespace.noise:believing"),
     noises=lazy("navgym.statespace.believed:noises"),

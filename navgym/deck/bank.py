@@ -43,6 +43,27 @@ COLUMNS = (
     OWN, LEVER_SD, WIDTH,
 ) = range(len(COLUMNS))  # fmt: skip
 
+f8, n = np.float64, joint.STATES
+# one mode in one step, for who goes back over a recording
+MEMORY = np.dtype(
+    [
+        ("chance", f8),  # of the mode, after the step
+        ("x_from", f8, (n,)),  # where the mode began the step
+        ("P_from", f8, (n, n)),
+        ("x_prior", f8, (n,)),
+        ("P_prior", f8, (n, n)),  # without a jump
+        ("crossed", f8, (n, n)),  # covariance of x_prior with x_from
+        ("x", f8, (n,)),
+        ("P", f8, (n, n)),
+        ("B", f8, (3, 6)),
+        (
+            "told",
+            f8,
+            (BRANCHES,),
+        ),  # probability of each branch; all in the first where there is one
+    ]
+)
+
 
 @part
 def mix(lanes, count, stay):
@@ -258,10 +279,43 @@ def configure(lanes, count, row):
             lane.spike[3 + i] = row[GLITCH_RATE] ** 2
 
 
+@part
+def keep_before(lane, memory):
+    """Put aside where a mode begins a step."""
+    for i in range(lane.x.shape[0]):
+        memory.x_from[i] = lane.x[i]
+        for j in range(lane.x.shape[0]):
+            memory.P_from[i, j] = lane.P[i, j]
+
+
+@part
+def keep_between(lane, memory):
+    """And what it foretells."""
+    for i in range(lane.x.shape[0]):
+        memory.x_prior[i] = lane.x[i]
+        for j in range(lane.x.shape[0]):
+            memory.P_prior[i, j] = lane.P[i, j]
+            memory.crossed[i, j] = lane.crossed[i, j]
+
+
+@part
+def keep_after(lane, memory, kind):
+    """And where it arrives."""
+    for b in range(BRANCHES):
+        memory.told[b] = lane.told[b] if kind == SLAM else (1.0 if b == 0 else 0.0)
+    for i in range(3):
+        for a in range(6):
+            memory.B[i, a] = lane.B[i, a]
+    for i in range(lane.x.shape[0]):
+        memory.x[i] = lane.x[i]
+        for j in range(lane.x.shape[0]):
+            memory.P[i, j] = lane.P[i, j]
+
+
 @kernel
 def run(
     lanes, models, kinds, tapes, first, table, interval, impulse, left, disturbance,
-    outputs, reports, covariances, chances, lagged,
+    outputs, reports, covariances, chances, lagged, memories,
 ):  # fmt: skip
     """Filter each recording's lanes to their `length` or the tape's end.
 
@@ -281,6 +335,7 @@ def run(
         covariances: (N, K or 0, 24, 24).
         chances: (N, K or 0, J) probabilities of the modes.
         lagged: (N, K or 0, 2, 3) θ̇ one and two steps before.
+        memories: (N, K or 0, J) `MEMORY`.
     """
     nothing, none = np.zeros(3), np.zeros(MEASUREMENTS)
     count, known = kinds.shape[0], impulse.shape[1] > 0
@@ -299,14 +354,22 @@ def run(
             for j in range(count):
                 lane, kind = own[j], kinds[j, 0]
                 model = models[i, tape.model if kinds[j, 1] == BY_TAPE else kinds[j, 1]]
+                if memories.shape[1] > 0:
+                    keep_before(lane, memories[i, k, j])
                 joint.predict(lane, model, tape, jump, share)
+                if memories.shape[1] > 0:
+                    keep_between(lane, memories[i, k, j])
                 joint.look(lane, model, tape, row[OWN] > 0.0)
                 for c in range(MEASUREMENTS):
                     lane.R[c] += extra[c]
                 wrong = row[GLITCH_CHANCE] if kind == GLITCH else 0.0
                 absorb(lane, model, kind, row[SLAM_SIZE], struck, wrong, row[WIDTH])
+                if memories.shape[1] > 0:
+                    keep_after(lane, memories[i, k, j], kind)
                 lane.k += 1
             weigh_modes(own, count)
+            for j in range(count if memories.shape[1] > 0 else 0):
+                memories[i, k, j].chance = own[j].chance
             pool_up(own, count)
             tell(own, count)
             update.check(pool)

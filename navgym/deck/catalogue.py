@@ -34,13 +34,13 @@ class Deck:
 _ALL = (
     Filter("alignment", "24-state deck filter, the flexure as believed: an extended Kalman filter", spaces.ALIGNMENT, "deck", Deck()),
     Filter("alignment_mcc", "the same, robust by the correntropy criterion", spaces.ALIGNMENT_MCC, "deck", Deck()),
-    Filter("deck_bank", "calm, rougher sea, slam and glitch by four filters and their probabilities: no width to choose", spaces.DECK_BANK, "deck", Deck(bank=True)),
-    Filter("deck_bank_lever", "deck_bank with the lever arm's error among the states, so that velocities may be trusted", spaces.DECK_BANK_LEVER, "deck", Deck(bank=True)),
+    Filter("deck_bank", "calm, rougher sea, slam and glitch by four filters and their probabilities: no width to choose", spaces.DECK_BANK, "deck", Deck(bank=True), smooths=True),
+    Filter("deck_bank_lever", "deck_bank with the lever arm's error among the states, so that velocities may be trusted", spaces.DECK_BANK_LEVER, "deck", Deck(bank=True), smooths=True),
     Filter("idam", "flexure identified on line by an RVM, correntropy, model prediction on request: IDAM, corrected", spaces.IDAM, "deck", Deck("rvm")),
     Filter("idam_printed", "IDAM as printed: body-frame increments, weights judged by R", spaces.IDAM_PRINTED, "deck", Deck("rvm", printed=True)),
     Filter("svram", "flexure identified by support vector regression", spaces.IDENTIFIED, "deck", Deck("svr")),
     Filter("woam", "flexure identified by whale optimisation", spaces.IDENTIFIED, "deck", Deck("whale")),
-    Filter("oracle", "knows the true flexure and the true noises of each step", spaces.ALIGNMENT, "deck", Deck(truth=True), needs_scales=True),
+    Filter("oracle", "knows the true flexure and the true noises of each step", spaces.ALIGNMENT, "deck", Deck(truth=True), needs_scales=True, smooths=True),
 )  # fmt: skip
 
 CATALOGUE: Mapping[str, Filter] = MappingProxyType({f.name: f for f in _ALL})

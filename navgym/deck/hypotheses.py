@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -63,6 +64,84 @@ def begin(lanes: NDArray[Any], models: NDArray[Any], kinds: NDArray[Any], lever_
     lanes["P"][:, -1] = lanes["P"][:, :-1].mean(axis=1)
 
 
+@dataclass(frozen=True, eq=False)
+class Bank:
+    """A batch with a bank at its start, ready for the kernel.
+
+    Args:
+        batch: of N recordings.
+        lanes: (N, J + 1) modes and pool.
+        models: (N, M) flexure models.
+        kinds: (J, 2) as the kernel takes them.
+        rows: (N or 1, intervals, columns) parameters.
+        interval: steps per row of those.
+        noise: known variances and shares, or nothing.
+    """
+
+    batch: DeckBatch
+    lanes: NDArray[Any]
+    models: NDArray[Any]
+    kinds: NDArray[Any]
+    rows: Array
+    interval: int
+    noise: tuple[Array, Array, Array]
+
+    @classmethod
+    def of(cls, chosen: Filter, batch: DeckBatch, table: Array, interval: int) -> Bank:
+        """The bank, or the oracle, at the start of a batch."""
+        rows = np.ascontiguousarray(table_of(chosen.space, table))
+        kinds = KINDS if chosen.option.bank else _ONE
+        noise = NOTHING_KNOWN
+        if chosen.option.truth:
+            noise = known_noise(batch)
+            batch, models = true_models(batch)
+        else:
+            packed = (alignment_model.pack(r, flexures_of(r.model)) for r in batch.recordings)
+            models = np.stack(list(packed))
+        lanes = np.zeros((len(batch), len(kinds) + 1), joint.LANE)
+        begin(lanes, models, kinds, np.broadcast_to(rows[:, 0, bank.LEVER_SD], len(batch)))
+        return cls(batch, lanes, models, kinds, rows, interval, noise)
+
+    def run(self, first: int, last: int, outputs: Mapping[str, Array]) -> None:
+        """Filter steps `first` to `last` of the tapes, from where the lanes are.
+
+        Args:
+            first: where the lanes are.
+            last: the step after.
+            outputs: of those steps; see `outputs_for`.
+        """
+        tapes = np.ascontiguousarray(self.batch.tapes[:, first:last])
+        noise = (np.ascontiguousarray(n[:, first:last]) for n in self.noise)
+        self.lanes["length"] = np.minimum(self.batch.lengths, last)[:, None]
+        bank.run(
+            self.lanes, self.models, self.kinds, tapes, first, self.rows, self.interval, *noise,
+            *outputs.values(),
+        )  # fmt: skip
+
+
+def outputs_for(
+    count: int, steps: int, modes: int, everything: bool, memories: bool = False
+) -> dict[str, NDArray[Any]]:
+    """What the kernel writes, NaN so far, by name and in its order.
+
+    Args:
+        count: recordings.
+        steps: of the longest.
+        modes: of the bank.
+        everything: False: nothing but states.
+        memories: whether each mode's steps are kept, see `bank.MEMORY`: 170 kB a step with four modes.
+    """
+    rest, n = steps if everything else 0, alignment.STATES
+    return {
+        "states": np.full((count, steps, n), np.nan),
+        "report": np.full((count, rest), np.nan, alignment.REPORT),
+        "covariances": np.full((count, rest, n, n), np.nan),
+        "mode_weights": np.full((count, rest, modes), np.nan),
+        "theta_rate_lagged": np.full((count, rest, LAGS, 3), np.nan),
+        "memories": np.zeros((count, steps if memories else 0, modes), bank.MEMORY),
+    }
+
+
 def estimate(
     chosen: Filter, batch: DeckBatch, table: Array, interval: int, everything: bool
 ) -> dict[str, Any]:
@@ -71,31 +150,14 @@ def estimate(
     Returns also `mode_weights` (N, K, J) and `theta_rate_lagged` (N, K, LAGS, 3), with `everything`.
     """
     count, steps = batch.tapes.shape
-    rows = np.ascontiguousarray(table_of(chosen.space, table))
-    known = chosen.option.truth
-    kinds = KINDS if chosen.option.bank else _ONE
-    if known:
-        batch, models = true_models(batch)
-    else:
-        packed = (alignment_model.pack(r, flexures_of(r.model)) for r in batch.recordings)
-        models = np.stack(list(packed))
-    lanes = np.zeros((count, len(kinds) + 1), joint.LANE)
-    begin(lanes, models, kinds, np.broadcast_to(rows[:, 0, bank.LEVER_SD], count))
-    lanes["length"] = batch.lengths[:, None]
-    rest, n = steps if everything else 0, alignment.STATES
-    outputs = {
-        "states": np.full((count, steps, n), np.nan),
-        "report": np.full((count, rest), np.nan, alignment.REPORT),
-        "covariances": np.full((count, rest, n, n), np.nan),
-        "mode_weights": np.full((count, rest, len(kinds)), np.nan),
-        "theta_rate_lagged": np.full((count, rest, LAGS, 3), np.nan),
-    }
-    noise = known_noise(batch) if known else NOTHING_KNOWN
-    bank.run(lanes, models, kinds, batch.tapes, 0, rows, interval, *noise, *outputs.values())
-    flexures: list[list[Any]] = [[] for _ in range(count)]
+    own = Bank.of(chosen, batch, table, interval)
+    outputs: dict[str, Any] = outputs_for(count, steps, len(own.kinds), everything)
+    own.run(0, steps, outputs)
+    del outputs["memories"]
     if not chosen.option.bank:
         del outputs["mode_weights"]
-    return outputs | {"diverged": lanes["diverged"][:, -1] > 0, "flexures": flexures}
+    flexures: list[list[Any]] = [[] for _ in range(count)]
+    return outputs | {"diverged": own.lanes["diverged"][:, -1] > 0, "flexures": flexures}
 
 
 def true_models(batch: DeckBatch) -> tuple[DeckBatch, NDArray[Any]]:

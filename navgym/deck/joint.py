@@ -74,6 +74,7 @@ LANE = np.dtype(
         ("told", f8, (MEASUREMENTS,)),  # of branches: log-likelihood, then probability
         ("x_sum", f8, (STATES,)),
         ("P_sum", f8, (STATES, STATES)),
+        ("crossed", f8, (STATES, STATES)),  # F P: covariance of x⁻ with x as it was
     ]
 )
 
@@ -189,6 +190,10 @@ def predict(lane, model, tape, impulse, left):
             update.transpose(lane)
         remember_rows(lane, model)
         alignment.move_rows(lane, model, tape)
+        if again == 0:
+            for i in range(STATES):
+                for j in range(STATES):
+                    lane.crossed[i, j] = lane.P[i, j]
     alignment.add_sensor_noise(lane, model, tape)
     scale, still = lane.row[PROCESS], left * model.dt
     for a in range(3):

@@ -13,7 +13,7 @@ import numpy as np
 
 from navgym.core.checks import Array, one_of
 from navgym.core.compile import entry
-from navgym.deck import alignment, alignment_model, bank, hypotheses, joint
+from navgym.deck import alignment_model, bank, hypotheses, joint
 from navgym.deck.catalogue import CATALOGUE
 from navgym.deck.intake import Intake
 from navgym.deck.live import LiveDeckEstimate
@@ -72,20 +72,17 @@ class LiveDeckBank(Intake):
         self._kinds = hypotheses.KINDS
         self._models = np.zeros((1, 2), alignment_model.MODEL)
         self._lanes = np.zeros((1, len(self._kinds) + 1), joint.LANE)
-        n, J = alignment.STATES, len(self._kinds)
-        self._told = (
-            np.zeros((1, 1, n)), np.zeros((1, 1), alignment.REPORT), np.zeros((1, 1, n, n)),
-            np.zeros((1, 1, J)), np.zeros((1, 1, hypotheses.LAGS, 3)),
-        )  # fmt: skip
-        self._views = tuple(self._told[i][0, 0] for i in (0, 2, 3, 4))
-        self._nis, self._failed = self._told[1]["nis"][0], self._lanes["diverged"][0]
+        self._told = hypotheses.outputs_for(1, 1, len(self._kinds), everything=True)
+        shown = "states", "covariances", "mode_weights", "theta_rate_lagged"
+        self._views = tuple(self._told[name][0, 0] for name in shown)
+        self._nis, self._failed = self._told["report"]["nis"][0], self._lanes["diverged"][0]
         mechanise = (
             self._samples, self._filled, self._lever, self.interval, self._moving,
             self._disturbance, self._tape,
         )  # fmt: skip
         self._mechanise = partial(entry(mechanize_live, mechanise), *mechanise)
         before = self._lanes, self._models, self._kinds, self._tape[None]
-        after = self._row, 1, *hypotheses.NOTHING_KNOWN, *self._told
+        after = self._row, 1, *hypotheses.NOTHING_KNOWN, *self._told.values()
         self._before, self._after = before, after
         self._run = entry(bank.run, (*before, 0, *after))
         self.reset()
@@ -134,7 +131,7 @@ class LiveDeckBank(Intake):
     def _begin(self) -> None:
         self._begin_samples()
         self._k = 0
-        self._told[0][...] = 0.0
+        self._told["states"][...] = 0.0
 
     def _start(self) -> None:
         first, flexures = self._start_samples(), hypotheses.flexures_of(self.model)
@@ -143,7 +140,7 @@ class LiveDeckBank(Intake):
         hypotheses.begin(self._lanes, self._models, self._kinds, lever_sd)
 
     def _known(self) -> Array:
-        found: Array = self._told[0][0, 0]
+        found: Array = self._told["states"][0, 0]
         return found
 
     def _filter_step(self) -> LiveBankEstimate:

@@ -200,6 +200,7 @@ PROBLEM = Problem(
     stack=lazy("navgym.deck.batch:DeckBatch.of"),
     runner=lazy("navgym.deck.estimation:run"),
     estimate=lazy("navgym.deck.estimation:estimate"),
+    smoother=lazy("navgym.deck.smoothing:smooth"),
     noises=lazy("navgym.deck.scoring:noises"),
     kernels=lazy("navgym.deck.warm:kernels"),
     plain=("alignment",),

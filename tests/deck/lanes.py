@@ -87,9 +87,9 @@ def run_bank(recordings, kinds=hypotheses.KINDS, **columns):
     for name, value in columns.items():
         row[..., bank.COLUMNS.index(name)] = value
     lanes, models, tapes = bank_lanes(recordings, kinds, columns.get("lever_sd", 0.0))
-    (count, steps), J = tapes.shape, len(kinds)
-    out = [*outputs_for(tapes), np.full((count, steps, J), np.nan), np.full((count, steps, 2, 3), np.nan)]  # fmt: skip
-    bank.run(lanes, models, kinds, tapes, 0, row, 1, *hypotheses.NOTHING_KNOWN, *out)
-    return named(*out[:3]) | {
-        "mode_weights": out[3], "lagged": out[4], "lanes": lanes, "tapes": tapes,
+    out = hypotheses.outputs_for(*tapes.shape, len(kinds), everything=True)
+    noise = hypotheses.NOTHING_KNOWN
+    bank.run(lanes, models, kinds, tapes, 0, row, 1, *noise, *out.values())
+    return named(out["states"], out["report"], out["covariances"]) | {
+        "mode_weights": out["mode_weights"], "lagged": out["theta_rate_lagged"], "lanes": lanes, "tapes": tapes,
     }  # fmt: skip

@@ -142,9 +142,9 @@ def predicted(recording, start):
     lanes["length"] = 1
     from navgym.deck import bank
 
-    out = [np.zeros((1, 1, 24)), np.zeros((1, 0), hypotheses.alignment.REPORT), np.zeros((1, 0, 24, 24))]  # fmt: skip
-    rest = [np.zeros((1, 0, 1)), np.zeros((1, 0, 2, 3))]
-    bank.run(lanes, models, kinds, tapes, 0, row, 1, *hypotheses.NOTHING_KNOWN, *out, *rest)
+    out = hypotheses.outputs_for(1, 1, 1, everything=False)
+    noise = hypotheses.NOTHING_KNOWN
+    bank.run(lanes, models, kinds, tapes, 0, row, 1, *noise, *out.values())
     return lanes["P"][0, 0][np.ix_(TRUTH, TRUTH)]
 
 
@@ -219,11 +219,10 @@ def test_p_stays_symmetric_and_positive_over_a_hundred_thousand_steps():
 
     space = CATALOGUE["deck_bank_lever"].space
     row = hypotheses.table_of(space, space.array({})[None])
-    nothing = [np.zeros((1, 0), hypotheses.alignment.REPORT), np.zeros((1, 0, 24, 24)), np.zeros((1, 0, 4)), np.zeros((1, 0, 2, 3))]  # fmt: skip
-    out = np.zeros((1, tapes.shape[1], 24))
+    out = hypotheses.outputs_for(1, tapes.shape[1], 4, everything=False)
     for lap in range(17):  # the same five minutes again: attitudes go on from where they begin
         args = (lanes, models, hypotheses.KINDS, tapes, lap * tapes.shape[1], row, 1)
-        bank.run(*args, *hypotheses.NOTHING_KNOWN, out, *nothing)
+        bank.run(*args, *hypotheses.NOTHING_KNOWN, *out.values())
     assert lanes["k"][0, -1] == 102_000
     for P in lanes["P"][0]:
         sd = np.sqrt(np.diag(P))

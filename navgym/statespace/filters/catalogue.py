@@ -9,11 +9,11 @@ from navgym.problem import Filter
 from navgym.statespace.filters import spaces
 
 _ALL = (
-    Filter("kf", "Kalman filter, predicts only where a measurement is lost", spaces.KALMAN, "kalman", 0),
+    Filter("kf", "Kalman filter, predicts only where a measurement is lost", spaces.KALMAN, "kalman", 0, smooths=True),
     Filter("kf_zero", "Kalman filter that takes a lost measurement for a zero: the straw man", spaces.KALMAN, "kalman", 3),
     Filter("kf_hold", "Kalman filter that repeats the last received value", spaces.KALMAN, "kalman", 2),
     Filter("kf_extrapolate", "Kalman filter with quadratic fill at its true variance", spaces.KALMAN_FILL, "kalman", 1),
-    Filter("oracle", "Kalman filter that knows the true Q and R of each sample", spaces.NONE, "kalman", 0, needs_scales=True),
+    Filter("oracle", "Kalman filter that knows the true Q and R of each sample", spaces.NONE, "kalman", 0, needs_scales=True, smooths=True),
     Filter("vbakf", "variational-Bayes filter, predicts only where a measurement is lost", spaces.VBAKF, "qivbf"),
     Filter("qivbf", "variational-Bayes filter with quadratic fill: QIVBF, corrected", spaces.QIVBF, "qivbf"),
     Filter("qivbf_printed", "QIVBF as printed, with the least additions that let it run: diverges", spaces.PRINTED, "qivbf_printed"),
