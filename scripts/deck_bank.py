@@ -63,7 +63,7 @@ class Options:
 
     runs: int = 60
     """recordings per condition"""
-    only: tuple[Literal["main", "shifts", "wrong", "seas", "lags", "widths", "nees", "identified", "told"], ...] = ()  # fmt: skip
+    only: tuple[Literal["main", "shifts", "wrong", "seas", "lags", "widths", "nees", "identified", "told", "smoothed"], ...] = ()  # fmt: skip
     """tables to make; none: all"""
     split: str = "test"
     """whose seeds"""
@@ -247,6 +247,32 @@ def lags(options: Options) -> Found:
     return found
 
 
+def smoothed(options: Options) -> Found:
+    """What the banks know afterwards: each step by the whole recording (`navgym.smooth`)."""
+    print("\n## Afterwards\n\n| sea | filter | | θ̇ | θ_ac | θ | attitude | NEES of θ̇, θ |")
+    print("|---|---|---|---|---|---|---|---|")
+    found = {}
+    few = dataclasses.replace(options, runs=max(options.runs // 5, 2))
+    for sea in ("calm", "lever", "switch-60"):
+        condition = Condition() if sea == "switch-60" else SEAS[sea]
+        rows: dict[tuple[str, str], list[Array]] = {}
+        for cases in condition.parts(few):
+            for i in range(len(cases)):
+                one = cases.take([i]).batch
+                for name in ("deck_bank", "deck_bank_lever"):
+                    ways = PROBLEM.run(name, one, everything=True), PROBLEM.smooth(name, one)
+                    for way, run in zip(("filtered", "smoothed"), ways, strict=True):
+                        e = deck_errors(one, run.states).norm
+                        told = [e[q][0] for q in QUANTITIES] + _nees(one, run)
+                        rows.setdefault((name, way), []).append(np.array(told))
+        for (name, way), each in rows.items():
+            m = np.mean(each, axis=0)
+            means = " | ".join(f"{v:.3f}" for v in m[:4])
+            print(f"| {sea} | {name} | {way} | {means} | {m[4]:.2f}, {m[5]:.2f} |", flush=True)
+            found[f"{sea}, {name}, {way}"] = np.array(each).tolist()
+    return found
+
+
 def _late(batch: Any, rates: Array, lag: int) -> float:
     """RMS length of θ̇'s error, ′/s, of rates (K, 3) that are told `lag` steps late."""
     true = batch.tapes["theta_rate"][0]
@@ -394,6 +420,7 @@ def main() -> None:
         "nees": lambda: nees(options),
         "identified": lambda: identified(options),
         "told": lambda: told(options),
+        "smoothed": lambda: smoothed(options),
     }
     chosen = options.only or tuple(tables)
     found = {name: tables[name]() for name in chosen}

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navgym.core.checks import Array
+from navgym.core.smoothing import smoothing_gain
 from navgym.deck import alignment, bank, joint
 from navgym.deck.batch import DeckBatch
 from navgym.deck.hypotheses import Bank, outputs_for
@@ -26,7 +27,6 @@ from navgym.problem import Filter, Run
 
 STRETCH = 200  # filter steps between two marks
 NEGLIGIBLE = 1e-4  # modes of less probability are left out
-RIDGE = 1e-13  # of unit diagonals, before they are solved: constants that are known have none
 AT = joint.AT
 KEPT = np.arange(AT.LAGGED)  # what goes from step to step: all but copies of θ̇ and m
 OWN = np.r_[KEPT, np.arange(AT.MEAN, AT.MEAN + 3)]  # and what a step's rows see
@@ -81,8 +81,8 @@ def _remembered(own: Bank, first: int, last: int) -> Iterator[dict[str, Array]]:
     J2 = (own.rows[0, 0, bank.SLAM_SIZE] * own.models["start"][0, 0, AT.RATE : AT.RATE + 3]) ** 2
     found = _gains(out["memories"][0][likely], J2, float(own.models["dt"][0, 0]))
     ends = np.cumsum(likely.sum(axis=1))
-    for first, end in zip(np.r_[0, ends][-2::-1], ends[::-1], strict=True):
-        yield {name: array[first:end] for name, array in found.items()}
+    for begin, end in zip(np.r_[0, ends][-2::-1], ends[::-1], strict=True):
+        yield {name: array[begin:end] for name, array in found.items()}
 
 
 def _gains(memory: NDArray[Any], jump: Array, dt: float) -> dict[str, Array]:
@@ -91,12 +91,12 @@ def _gains(memory: NDArray[Any], jump: Array, dt: float) -> dict[str, Array]:
     struck = (memory["told"][:, 1:] > 0.0).any(axis=1)
     P[struck] += _jumps(memory[struck], jump, dt)
     crossed = memory["crossed"][..., OWN[:, None], KEPT]
-    G = _divided(crossed, P)  # (S, kept, own)
+    G = smoothing_gain(crossed, P)  # (S, kept, own)
     posterior = memory["P"][..., OWN[:, None], OWN]
     x = memory["x_from"][..., KEPT] + _times(G, memory["x"][..., OWN] - memory["x_prior"][..., OWN])
     back = G @ (posterior - P) @ G.swapaxes(-1, -2)
     kept = posterior[..., : len(KEPT), : len(KEPT)]
-    later = _divided((posterior @ G.swapaxes(-1, -2))[..., : len(KEPT), :], kept)
+    later = smoothing_gain((posterior @ G.swapaxes(-1, -2))[..., : len(KEPT), :], kept)
     return {
         "chance": memory["chance"],
         "x_from": x,
@@ -118,18 +118,6 @@ def _jumps(memory: NDArray[Any], variance: Array, dt: float) -> Array:
             u[..., AT.VR : AT.VR + 3] = B[..., a] * f * dt + B[..., 3 + a]
             v = u[..., OWN] * np.sqrt(memory["told"][..., b] * variance[a])[..., None]
             found += v[..., :, None] * v[..., None, :]
-    return found
-
-
-def _divided(crossed: Array, P: Array) -> Array:
-    """crossedᵀ P⁻¹ of stacks (..., p, q) and (..., p, p); what has no variance has no gain."""
-    sd = np.sqrt(np.diagonal(P, axis1=-2, axis2=-1))
-    unit = 1.0 / np.where(sd > 0.0, sd, 1.0)
-    scaled = P * unit[..., :, None] * unit[..., None, :]
-    p = P.shape[-1]
-    scaled[..., np.arange(p), np.arange(p)] += np.where(sd > 0.0, RIDGE, 1.0)
-    solved = np.linalg.solve(scaled, crossed * unit[..., :, None]) * unit[..., :, None]
-    found: Array = solved.swapaxes(-1, -2)
     return found
 
 

@@ -22,12 +22,12 @@ class Ins:
 
 
 _ALL = (
-    Filter("ins_kf", "INS error-state Kalman filter, closed loop; cukf and ekf would be the same here", spaces.KF, "ins", Ins("trust")),
-    Filter("ins_student", "the same, each sensor's noise a Student-t", spaces.STUDENT, "ins", Ins("student")),
-    Filter("ins_mcc", "the same, robust by the correntropy criterion", spaces.MCC, "ins", Ins("correntropy")),
-    Filter("ins_vb", "the same, each sensor's R estimated: the QIVBF of the 18-state model", spaces.VB, "ins", Ins("variational")),
-    Filter("ins_bank", "the same, 16 hypotheses on each sensor's R in measurement space", spaces.BANK, "ins", Ins("bank")),
-    Filter("oracle", "told the true noise of every measurement and of the IMU", spaces.ORACLE, "ins", Ins("oracle"), needs_scales=True),
+    Filter("ins_kf", "INS error-state Kalman filter, closed loop; cukf and ekf would be the same here", spaces.KF, "ins", Ins("trust"), smooths=True),
+    Filter("ins_student", "the same, each sensor's noise a Student-t", spaces.STUDENT, "ins", Ins("student"), smooths=True),
+    Filter("ins_mcc", "the same, robust by the correntropy criterion", spaces.MCC, "ins", Ins("correntropy"), smooths=True),
+    Filter("ins_vb", "the same, each sensor's R estimated: the QIVBF of the 18-state model", spaces.VB, "ins", Ins("variational"), smooths=True),
+    Filter("ins_bank", "the same, 16 hypotheses on each sensor's R in measurement space", spaces.BANK, "ins", Ins("bank"), smooths=True),
+    Filter("oracle", "told the true noise of every measurement and of the IMU", spaces.ORACLE, "ins", Ins("oracle"), needs_scales=True, smooths=True),
 )  # fmt: skip
 
 CATALOGUE: Mapping[str, Filter] = MappingProxyType({f.name: f for f in _ALL})

@@ -67,6 +67,10 @@ LANE = np.dtype(
         ("held_attitude", f8, (3, 3)),  # C at the last one
         ("turned", f8),  # rad, the furthest that the vehicle has turned since then
         ("silence", f8),  # s since then
+        # for who goes back over a recording
+        ("keeps", i8),  # whether the next two are kept
+        ("P_prior", f8, (STATES, STATES)),  # before the step's measurements
+        ("removed", f8, (STATES,)),  # of the error, by all of them
         # scratch
         ("Phi", f8, (MOVING, TOUCHING)),
         ("Y", f8, (MOVING, STATES)),
@@ -281,9 +285,21 @@ def spread_errors(lane, model, tape, scale):
 
 
 @part
+def keep_prior(lane):
+    """Put P aside as foretold; nothing of the error is removed yet."""
+    for i in range(STATES):
+        lane.removed[i] = 0.0
+        for j in range(STATES):
+            lane.P_prior[i, j] = lane.P[i, j]
+
+
+@part
 def take_over(lane, meridian, across):
     """Let the nominal take the error `dx` over; radii with the height added."""
     dx = lane.dx
+    if lane.keeps > 0:
+        for i in range(STATES):
+            lane.removed[i] += dx[i]
     lane.place[0] -= dx[AT.R] / meridian
     lane.place[1] -= dx[AT.R + 1] / (across * math.cos(lane.place[0]))
     lane.place[2] += dx[AT.R + 2]

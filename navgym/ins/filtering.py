@@ -28,7 +28,15 @@ from navgym.inertial.block_update import (
     weigh_variational,
 )
 from navgym.inertial.preintegration import INCREMENT
-from navgym.ins.error_state import HELD, LANE, answer, navigate, spread_errors, take_over
+from navgym.ins.error_state import (
+    HELD,
+    LANE,
+    answer,
+    keep_prior,
+    navigate,
+    spread_errors,
+    take_over,
+)
 from navgym.ins.kinds import DVL_KIND, FIRST_ROW, INNOVATIONS, KINDS
 from navgym.ins.layout import (
     FILL,
@@ -223,6 +231,8 @@ def advance(lane, model, sensors, tape, events, rule, report):
         scale *= min(max(tape.shake / model.accelerometer, 1.0), METER_MOST)
     navigate(lane, model, tape)
     spread_errors(lane, model, tape, scale)
+    if lane.keeps > 0:
+        keep_prior(lane)
     watch_turn(lane, tape.time)
     nis, log, count, power = 0.0, 0.0, 0, 0.0
     if rule.judged:

@@ -185,6 +185,7 @@ PROBLEM = Problem(
     stack=lazy("navgym.ins.batch:InsBatch.of"),
     runner=lazy("navgym.ins.estimation:run"),
     estimate=lazy("navgym.ins.estimation:estimate"),
+    smoother=lazy("navgym.ins.smoothing:smooth"),
     noises=lazy("navgym.ins.scoring:noises"),
     kernels=lazy("navgym.ins.warm:kernels"),
     plain=("ins_kf",),
