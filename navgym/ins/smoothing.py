@@ -84,7 +84,7 @@ def _again(chosen: Filter, batch: InsBatch, table: Array, interval: int) -> Way:
     )  # fmt: skip
     for k in range(K):
         lane["length"] = k + 1
-        filtering.run(lane, *world, states, report, none)
+        filtering.run(lane, *world, states, report, none)  # type: ignore[no-untyped-call]
         found.P_prior[k], found.removed[k] = lane["P_prior"][0], lane["removed"][0]
         found.moved[k] = lane["Phi"][0]
     return found
