@@ -118,12 +118,15 @@ class LaneVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
     """All lanes of an engine as a Gymnasium vector environment: one compiled call moves them.
 
     Lane i equals a single environment with the same seed, bit for bit, in any batch size.
-    `reset(seed=s)` seeds lane i with s + i; a list gives one seed each. A lane that has ended is
-    reset by the next `step`, whose action for it is ignored (`AutoresetMode.NEXT_STEP`).
+    `reset(seed=s)` seeds lane i with s + i; a list gives one seed each. What becomes of a lane that has
+    ended is Gymnasium's `AutoresetMode`: by default the next `step` resets it and ignores its action.
 
     Args:
         num_envs: number of lanes.
         max_episode_steps: truncate episodes after this many decisions, or None.
+        autoreset_mode: "NextStep"; "SameStep", where the step that ends an episode resets the lane and
+            `infos` hold `final_obs` and `final_info`; "Disabled", where
+            `reset(options={"reset_mask": ended})` does.
         arguments: those of the single environment, but for `render_mode`.
     """
 
@@ -133,8 +136,14 @@ class LaneVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
     def __init__(
-        self, num_envs: int = 1, max_episode_steps: int | None = None, **arguments: Any
+        self,
+        num_envs: int = 1,
+        max_episode_steps: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        **arguments: Any,
     ) -> None:
+        self._mode = _checked_mode(autoreset_mode)
+        self.metadata = self.metadata | {"autoreset_mode": self._mode}
         if arguments.pop("render_mode", None) is not None:
             raise ValueError("the vector environment does not render: use gym.make for one lane.")
         self.engine = self.ENGINE(self.SETTINGS(**setting_arguments(arguments)), num_envs)
@@ -159,16 +168,24 @@ class LaneVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Start a new recording in every lane; returns observations (N, ·) and their infos.
 
-        `options` are those of the single environment, each a number for all lanes or a list.
+        `options` are those of the single environment, each a number for all lanes or a list, and
+        `reset_mask`, (N,) of which lanes to reset; all by default. Lanes that go on keep their
+        observation, their generator and their recording.
         """
-        self._seed_lanes(seed)
-        chosen = checked_options(options)
+        given = dict(options or {})
+        which = _checked_mask(given.pop("reset_mask", None), self.num_envs)
+        if not which.all() and not self._generators:
+            raise RuntimeError("call reset() for all lanes before a reset_mask leaves some out.")
+        self._seed_lanes(seed, which)
+        chosen = checked_options(given)
         each = {name: np.broadcast_to(value, self.num_envs) for name, value in chosen.items()}
-        for i in range(self.num_envs):
+        for i in map(int, np.flatnonzero(which)):
             self._restart(i, **{name: int(values[i]) for name, values in each.items()})
-        return self._observations.copy(), self._labels(np.ones(self.num_envs, dtype=np.bool_))
+        return self._observations.copy(), self._labels(which)
 
-    def _seed_lanes(self, seed: int | Sequence[int | None] | None) -> None:
+    def _seed_lanes(
+        self, seed: int | Sequence[int | None] | None, which: NDArray[np.bool_]
+    ) -> None:
         if seed is None and self._generators:
             return
         if seed is None:
@@ -183,11 +200,13 @@ class LaneVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
             )
         old = self._generators
         self._generators = [
-            old[i] if s is None and old else gymnasium.utils.seeding.np_random(s)[0]
+            old[i]
+            if old and (s is None or not which[i])
+            else gymnasium.utils.seeding.np_random(s)[0]
             for i, s in enumerate(each)
         ]
-        for i, generator in enumerate(self._generators):
-            self.engine.seed(i, generator)
+        for i in map(int, np.flatnonzero(which)):
+            self.engine.seed(i, self._generators[i])
 
     def _restart(self, i: int, **options: int) -> None:
         self._observations[i] = self.engine.restart(i, **options)
@@ -198,22 +217,41 @@ class LaneVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
     ) -> tuple[
         Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]
     ]:
-        """One decision in every lane; lanes that ended before start a new recording instead."""
+        """One decision in every lane; see `autoreset_mode` for lanes that have ended."""
         if not self._generators:
             raise RuntimeError("call reset() before step().")
         fresh = self._done.copy()
+        if fresh.any() and self._mode == AutoresetMode.DISABLED:
+            raise RuntimeError(
+                f"lanes {np.flatnonzero(fresh).tolist()} have ended: reset them by "
+                'reset(options={"reset_mask": ...}), or choose another autoreset_mode.'
+            )
         engine = self.engine
         engine.stations["active"] = ~fresh
         out = engine.step(np.asarray(actions), self._observations)
-        for i in np.flatnonzero(fresh):
-            self._restart(int(i))
+        infos = self._restarted(fresh)
         self._steps[~fresh] += 1
         terminated, truncated = out[:, TERMINATED] > 0.0, out[:, TRUNCATED] > 0.0
         if self._limit is not None:
             truncated |= (self._steps >= self._limit) & ~terminated
-        self._done = terminated | truncated
-        infos = self._information(out, ~fresh) | (self._labels(fresh) if fresh.any() else {})
+        ended = terminated | truncated
+        self._done = ended.copy()
+        if ended.any() and self._mode == AutoresetMode.SAME_STEP:
+            infos |= {
+                "final_obs": self._observations * ended[:, None], "_final_obs": ended.copy(),
+                "final_info": self._information(out, ended), "_final_info": ended.copy(),
+            }  # fmt: skip
+            infos |= self._restarted(ended) | self._information(out, ~ended)
+        else:
+            infos |= self._information(out, ~fresh)
         return self._observations.copy(), out[:, REWARD].copy(), terminated, truncated, infos
+
+    def _restarted(self, which: NDArray[np.bool_]) -> dict[str, Any]:
+        """Reset some lanes; their infos."""
+        which = which.copy()
+        for i in map(int, np.flatnonzero(which)):
+            self._restart(i)
+        return self._labels(which) if which.any() else {}
 
     def _information(self, out: NDArray[np.float64], valid: NDArray[np.bool_]) -> dict[str, Any]:
         """Gymnasium's form: an array per key, and a mask of the lanes where it holds."""
@@ -238,6 +276,27 @@ def checked_render_mode(render_mode: str | None) -> str | None:
     if render_mode not in (None, *RENDER_MODES):
         raise ValueError(f"render_mode must be 'human', 'rgb_array' or None, got {render_mode!r}.")
     return render_mode
+
+
+def _checked_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    try:
+        return AutoresetMode(mode)
+    except ValueError:
+        known = ", ".join(repr(m.value) for m in AutoresetMode)
+        raise ValueError(f"autoreset_mode must be one of {known}, got {mode!r}.") from None
+
+
+def _checked_mask(mask: Any, count: int) -> NDArray[np.bool_]:
+    """`reset_mask` of `count` lanes, all where it is None; ValueError for what is no mask."""
+    if mask is None:
+        return np.ones(count, dtype=np.bool_)
+    given = np.asarray(mask)
+    if given.dtype != np.bool_ or given.shape != (count,) or not given.any():
+        raise ValueError(
+            f"reset_mask must hold a boolean for each of {count} lanes, at least one of them True, got "
+            f"{given.dtype} of shape {given.shape}."
+        )
+    return given.copy()
 
 
 def setting_arguments(arguments: dict[str, Any]) -> dict[str, Any]:

@@ -121,6 +121,50 @@ class TestEveryEnvironment:
         assert infos["_seed"].all()
         assert not infos["_reward_term"].any()
 
+    def test_lanes_may_restart_on_the_step_that_ends_them(self, name):
+        """`SameStep`: the same episodes as with `NextStep`, without the empty step between two."""
+        same = gymnasium.make_vec(name, num_envs=2, max_episode_steps=3, autoreset_mode="SameStep")
+        assert same.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
+        later = gymnasium.make_vec(name, num_envs=2, max_episode_steps=3)
+        later.reset(seed=4)
+        observations, _ = same.reset(seed=4)
+        rng = np.random.default_rng(2)
+        for _ in range(2):
+            for k in range(3):
+                action = rng.uniform(-1, 1, same.action_space.shape).astype(np.float32)
+                observations, rewards, _, truncated, infos = same.step(action)
+                expected = later.step(action)
+                np.testing.assert_array_equal(rewards, expected[1])
+                assert truncated.all() == (k == 2)
+            np.testing.assert_array_equal(infos["final_obs"], expected[0])
+            assert infos["_final_obs"].all()
+            assert not infos["_reward_term"].any()
+            for key, values in infos["final_info"].items():
+                np.testing.assert_array_equal(values, expected[4][key])
+            fresh, _, _, _, labels = later.step(action)
+            np.testing.assert_array_equal(observations, fresh)
+            np.testing.assert_array_equal(infos["seed"], labels["seed"])
+
+    def test_a_mask_resets_some_lanes(self, name):
+        batch = gymnasium.make_vec(name, num_envs=3, max_episode_steps=2, autoreset_mode="Disabled")
+        with pytest.raises(RuntimeError, match="all lanes before"):
+            batch.reset(options={"reset_mask": np.array([True, False, False])})
+        batch.reset(seed=1)
+        action = np.zeros(batch.action_space.shape, np.float32)
+        first = batch.step(action)[0]
+        observations, infos = batch.reset(seed=[5, 6, 7], options={"reset_mask": np.array([False, True, False])})  # fmt: skip
+        np.testing.assert_array_equal(observations[[0, 2]], first[[0, 2]])
+        assert infos["_seed"].tolist() == [False, True, False]
+        alone = gymnasium.make_vec(name, num_envs=1).reset(seed=6)[0]
+        np.testing.assert_array_equal(observations[1], alone[0])
+        assert batch.step(action)[3].tolist() == [True, False, True]
+        with pytest.raises(RuntimeError, match=r"\[0, 2\] have ended.*reset_mask"):
+            batch.step(action)
+        with pytest.raises(ValueError, match="boolean for each of 3 lanes"):
+            batch.reset(options={"reset_mask": [1, 0, 0]})
+        with pytest.raises(ValueError, match="'NextStep'"):
+            gymnasium.make_vec(name, num_envs=1, autoreset_mode="sometimes")
+
     def test_the_manual_has_gymnasiums_sections_and_its_examples_run(self, name):
         manual = type(make(name)).__doc__
         for section in (
