@@ -9,6 +9,7 @@ import sys
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
 
 import navgym
 from navgym.core.parameters import ParameterSpace
@@ -390,6 +391,25 @@ def _truths(recording):
 
 
 # ---- environments
+
+
+@every
+def test_gymnasiums_checker_finds_nothing_where_the_truth_is_not_known(problem):
+    own = problem.environment
+    recording = judged(problem).recordings[0]
+    blind = dataclasses.replace(recording, **dict.fromkeys(_truths(recording)))
+    env = gymnasium.make(own.id, recording=blind, reward=own.settings.BLIND).unwrapped
+    check_env(env, skip_render_check=True)
+    env.reset(seed=1)
+    info = env.step(env.action_space.sample())[4]
+    assert not np.isnan(list(info.values())).any()
+    assert not any("rmse" in name for name in info)
+
+
+@every
+def test_a_wrong_argument_is_named_with_the_nearest(problem):
+    with pytest.raises(TypeError, match=r"unknown argument 'sceanrio'. Did you mean 'scenario'"):
+        gymnasium.make(problem.environment.id, sceanrio="x")
 
 
 def rolled_out(problem, recordings):

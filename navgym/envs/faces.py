@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import operator
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
@@ -47,7 +49,7 @@ class LaneEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
         self.render_mode = checked_render_mode(render_mode)
-        settings = self.SETTINGS(**setting_arguments(arguments))
+        settings = self.SETTINGS(**setting_arguments(self.SETTINGS, arguments))
         self.engine = engine = self.ENGINE(settings, 1, trail=render_mode is not None)
         self.observation_space, self.action_space = spaces_of(engine)
         self._obs_shape = (1, *(self.observation_space.shape or ()))
@@ -82,7 +84,10 @@ class LaneEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Filter until the next decision with the parameters that `action` chooses."""
+        """Filter until the next decision with the parameters that `action` chooses.
+
+        What cannot be known, such as an error where the truth is not, is left out of the information.
+        """
         if self._over:
             raise RuntimeError("no episode is running: call reset() before step().")
         obs = np.empty(self._obs_shape, dtype=np.float32)
@@ -92,7 +97,8 @@ class LaneEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self._history.append(row[INFORMATION + len(self.engine.INFO_NAMES) :])
             if self.render_mode == "human":
                 self.render()
-        info = dict(zip(self.engine.info_fields, row[INFORMATION:], strict=True))
+        told = zip(self.engine.info_fields, row[INFORMATION:], strict=True)
+        info = {name: value for name, value in told if not math.isnan(value)}
         return obs[0], row[REWARD], row[TERMINATED] > 0.0, row[TRUNCATED] > 0.0, info
 
     def render(self) -> Any:
@@ -146,7 +152,9 @@ class LaneVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
         self.metadata = self.metadata | {"autoreset_mode": self._mode}
         if arguments.pop("render_mode", None) is not None:
             raise ValueError("the vector environment does not render: use gym.make for one lane.")
-        self.engine = self.ENGINE(self.SETTINGS(**setting_arguments(arguments)), num_envs)
+        self.engine = self.ENGINE(
+            self.SETTINGS(**setting_arguments(self.SETTINGS, arguments)), num_envs
+        )
         self.num_envs = num_envs
         self.render_mode = None
         self.single_observation_space, self.single_action_space = spaces_of(self.engine)
@@ -254,10 +262,10 @@ class LaneVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
         return self._labels(which) if which.any() else {}
 
     def _information(self, out: NDArray[np.float64], valid: NDArray[np.bool_]) -> dict[str, Any]:
-        """Gymnasium's form: an array per key, and a mask of the lanes where it holds."""
+        """Gymnasium's form: an array per key, and a mask of the lanes where it is known."""
         found: dict[str, Any] = {}
         for j, name in enumerate(self.engine.info_fields, start=INFORMATION):
-            found[name], found[f"_{name}"] = out[:, j].copy(), valid.copy()
+            found[name], found[f"_{name}"] = out[:, j].copy(), valid & ~np.isnan(out[:, j])
         return found
 
     def _labels(self, fresh: NDArray[np.bool_]) -> dict[str, Any]:
@@ -299,9 +307,14 @@ def _checked_mask(mask: Any, count: int) -> NDArray[np.bool_]:
     return given.copy()
 
 
-def setting_arguments(arguments: dict[str, Any]) -> dict[str, Any]:
-    """Arguments of an environment as those of its settings."""
+def setting_arguments(kind: type[LaneSettings], arguments: dict[str, Any]) -> dict[str, Any]:
+    """Arguments of an environment as those of its settings; TypeError for one that there is not."""
     own = arguments.pop("recording", None)
+    for name in arguments:
+        try:
+            one_of("argument", name, [f.name for f in dataclasses.fields(kind) if f.init])
+        except ValueError as error:
+            raise TypeError(str(error)) from None
     if own is not None:
         if arguments.get("recordings") is not None:
             raise ValueError("give recording= or recordings=, not both.")

@@ -251,10 +251,10 @@ def decide(
         out[i, REWARD] = min(max(term, -rule.clip), rule.clip) if sound else -rule.clip
         out[i, TERMINATED] = 1.0 if failed else 0.0
         out[i, TRUNCATED] = 1.0 if station.k >= station.length and not failed else 0.0
-        out[i, POSITION_RMSE] = math.sqrt(scale * position)
-        out[i, REFERENCE_POSITION] = math.sqrt(scale * reference_position)
-        out[i, VELOCITY_RMSE] = math.sqrt(scale * velocity)
-        out[i, REFERENCE_VELOCITY] = math.sqrt(scale * reference_velocity)
+        out[i, POSITION_RMSE] = math.sqrt(position / count)  # NaN without truth
+        out[i, REFERENCE_POSITION] = math.sqrt(reference_position / count)  # NaN without truth
+        out[i, VELOCITY_RMSE] = math.sqrt(velocity / count)  # NaN without truth
+        out[i, REFERENCE_VELOCITY] = math.sqrt(reference_velocity / count)  # NaN without truth
         out[i, NIS] = nis / heard if heard > 0.0 else math.nan
         out[i, SILENCE] = lane.silence
         out[i, REGIME] = tapes[w, last - 1].regime
