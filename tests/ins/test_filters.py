@@ -131,12 +131,12 @@ def test_it_is_pyins_feedback_filter_on_the_same_increments():
     position = (np.radians(row[["lat", "lon"]].to_numpy(float)) - packed["origin"][:2]) * packed[
         "metres"
     ]
-    assert np.abs(found.states[0, k, :2] - position).max() < 0.012  # E: 5-12 mm apart
-    assert np.abs(found.states[0, k, 3:6] - row[["VN", "VE", "VD"]].to_numpy(float)).max() < 1e-3
+    assert np.abs(found.states[0, k, :2] - position).max() < 1e-3
+    assert np.abs(found.states[0, k, 3:6] - row[["VN", "VE", "VD"]].to_numpy(float)).max() < 1e-4
     sd = other.trajectory_sd.iloc[np.argmin(np.abs(other.trajectory_sd.index - moment))]
     own = np.sqrt(np.diag(found.covariances[0, k]))
-    assert own[:2] == pytest.approx(sd[["north", "east"]].to_numpy(float), rel=5e-4)
-    assert np.degrees(own[8]) == pytest.approx(sd["heading"], rel=2e-3)
+    assert own[:2] == pytest.approx(sd[["north", "east"]].to_numpy(float), rel=1e-4)
+    assert np.degrees(own[8]) == pytest.approx(sd["heading"], rel=1e-4)
 
 
 class TestConsistency:

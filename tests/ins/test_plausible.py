@@ -1,7 +1,9 @@
 """What sensors say of each other: axes turned over, clocks apart, nothing to see, and a sensor at its stop."""
 
 import dataclasses
+import os
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from navgym.ins.scenarios import FISH
 from navgym.ins.stops import saturated
 from tests.ins.lanes import made
 
+AKIT = Path(os.environ.get("NAVGYM_DATA", "nowhere")) / "akit"
 USUAL = {"water_period": 0.0, "dvl_lever": (0.0, 0.0, 0.0), "legs": (60.0, 90.0), "fix_period": 5.0}
 
 
@@ -62,6 +65,21 @@ class TestAxes:
         assert axes(made(duration=20.0)) == []
         r = mission()
         assert axes(rebuilt(r, aiding={})) == []
+
+
+@pytest.mark.skipif(not AKIT.is_dir(), reason="NAVGYM_DATA does not name A-KIT's data")
+class TestRealTracks:
+    def test_the_axes_that_are_turned_over_on_real_tracks_are_named(self):
+        r = navgym.read("akit_ins", AKIT, track=3, position_noise=1.0)
+        assert not r.gaps.any()
+        assert axes(r) == clocks(r) == concerns(r) == []
+        y = np.array([1.0, -1.0, 1.0])
+        (said,) = axes(rebuilt(r, angle=r.angle * y, velocity=r.velocity * y))
+        assert "gyro_y and acc_y point the other way" in said
+
+    def test_clocks_as_published_are_told_apart(self):
+        r = navgym.read("akit_ins", AKIT, track=3, position_noise=1.0, align_clocks=False)
+        assert [s.split(":")[0] for s in clocks(r)] == ["dvl"]
 
 
 class TestClocks:

@@ -6,6 +6,7 @@ There are six tracks, so intervals resample tracks: a track's figure is the mean
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -176,7 +177,8 @@ def silent(recording: InertialRecording, begin: float, length: float) -> Inertia
 # ---- with fixes, beside filters of four states
 
 SCALES = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)  # of the log's R, to choose among
-DENSITIES = (1e-4, 1e-3, 1e-2, 1e-1)  # m²/s, of the dead reckoning's velocity error, likewise
+# m²/s, of the dead reckoning's velocity error where the log is heard and where it is lost, likewise
+DENSITIES = tuple(itertools.product((1e-4, 3e-4, 1e-3, 3e-3), (0.01, 0.03, 0.1, 0.3)))
 CHOSEN = ("ins_kf", "ins_student", "ins_vb", "ins_bank")
 FOUR = ("kf", "imm", "bank")
 RECKON = "dead reckoning"
@@ -283,15 +285,26 @@ def _turned(dvl: Aiding, at: Array, t: Array, truth: Array) -> tuple[Array, NDAr
 
 
 def _moves(dvl: Aiding, at: Array, t: Array, truth: Array) -> Array:
-    """(K, 2) m between fixes: the last body velocity that was heard, turned by the heading as it goes on."""
+    """(K, 2) m between fixes, by body velocities turned by the heading as it goes on.
+
+    Between two that were heard, their straight line; through a loss, the last one.
+    """
     fine = t[(t >= at[0]) & (t <= at[-1])]
-    heard = np.flatnonzero(~dvl.lost)
-    last = heard[np.maximum(np.searchsorted(dvl.time[heard], fine, "right") - 1, 0)]
-    v = _attitude(fine, t, truth).apply(dvl.values[last])[:, :2]
+    v = _attitude(fine, t, truth).apply(_body_velocity(dvl, fine))[:, :2]
     way = np.concatenate([np.zeros((1, 2)), np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(fine)[:, None], axis=0)])  # fmt: skip
     along = np.column_stack([np.interp(at, fine, way[:, i]) for i in (0, 1)])
     moved: Array = np.diff(along, axis=0)
     return moved
+
+
+def _body_velocity(dvl: Aiding, t: Array) -> Array:
+    """(T, 3) m/s at any times."""
+    heard = np.flatnonzero(~dvl.lost)
+    held = heard[np.maximum(np.searchsorted(dvl.time[heard], t, "right") - 1, 0)]
+    after = np.clip(np.searchsorted(dvl.time, t, "right"), 1, len(dvl.time) - 1)
+    whole = ~dvl.lost[after] & ~dvl.lost[after - 1]
+    line = np.column_stack([np.interp(t, dvl.time, np.nan_to_num(dvl.values[:, i])) for i in range(3)])  # fmt: skip
+    return np.where(whole[:, None], line, dvl.values[held])
 
 
 OWN = "ins_kf, R by fixes"
@@ -325,7 +338,7 @@ def _over_tracks(each: Array) -> tuple[float, float]:
     return float(each.mean()), float(half)
 
 
-def _fixed(data: Both, scales: Mapping[str, float], density: float) -> dict[str, Array]:
+def _fixed(data: Both, scales: Mapping[str, float], density: tuple[float, float]) -> dict[str, Array]:
     """Errors by track (6,) of every filter."""
     batch, found = StateSpaceBatch.of(data.plain), {}
     for name in FOUR:
@@ -347,11 +360,11 @@ def _four_errors(data: Both, states: Sequence[Array]) -> Array:
     return per_track(np.array(rms), data.plain)
 
 
-def _reckoned(data: Both, density: float) -> list[tuple[Array, float]]:
+def _reckoned(data: Both, density: tuple[float, float]) -> list[tuple[Array, float]]:
     return [dead_reckon(r, m, density) for r, m in zip(data.plain, data.moves, strict=True)]
 
 
-def _choices(size: InsReproductionAmount, folder: Path) -> tuple[dict[str, float], float]:
+def _choices(size: InsReproductionAmount, folder: Path) -> tuple[dict[str, float], tuple[float, float]]:
     """Scale of the log's R per filter, and the dead reckoning's noise: least one-step error of fixes.
 
     On tracks 1-3 and training seeds; no truth enters.
@@ -378,7 +391,7 @@ def _fixed_cell(errors: Mapping[str, Array], label: str, best: str) -> str:
 
 
 def _fixed_text(
-    each: Mapping[str, Mapping[str, Array]], best: Mapping[str, str], scales: Mapping[str, float], density: float
+    each: Mapping[str, Mapping[str, Array]], best: Mapping[str, str], scales: Mapping[str, float], density: tuple[float, float]
 ) -> list[str]:  # fmt: skip
     met = [n for n, e in each.items() if e[OWN].mean() < e[best[n]].mean()]
     chosen = ", ".join(f"{name} {scale:g}" for name, scale in scales.items())
@@ -386,7 +399,7 @@ def _fixed_text(
         "Both kinds get the same fixes and Doppler velocities with the same losses, and start off by 1 m. Those of four states are "
         "given the reference's heading; the INS finds its own.",
         f"Chosen on tracks 1-3 and training seeds by the one-step error of fixes, without the truth: `dvl_noise_scale` {chosen}; "
-        f"dead reckoning {density:g} m²/s. The log's errors go on for 10 to 30 s, which R cannot say: believed as white noise of "
+        f"dead reckoning {density[0]:g} and, through losses, {density[1]:g} m²/s. The log's errors go on for 10 to 30 s, which R cannot say: believed as white noise of "
         "its size it is believed too much, most of all by filters that measure R themselves.",
         f"Better in the mean than the best of four states at {len(met)} of {len(each)} rates.",
     ]
