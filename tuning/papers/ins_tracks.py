@@ -338,7 +338,9 @@ def _over_tracks(each: Array) -> tuple[float, float]:
     return float(each.mean()), float(half)
 
 
-def _fixed(data: Both, scales: Mapping[str, float], density: tuple[float, float]) -> dict[str, Array]:
+def _fixed(
+    data: Both, scales: Mapping[str, float], density: tuple[float, float]
+) -> dict[str, Array]:
     """Errors by track (6,) of every filter."""
     batch, found = StateSpaceBatch.of(data.plain), {}
     for name in FOUR:
@@ -364,7 +366,9 @@ def _reckoned(data: Both, density: tuple[float, float]) -> list[tuple[Array, flo
     return [dead_reckon(r, m, density) for r, m in zip(data.plain, data.moves, strict=True)]
 
 
-def _choices(size: InsReproductionAmount, folder: Path) -> tuple[dict[str, float], tuple[float, float]]:
+def _choices(
+    size: InsReproductionAmount, folder: Path
+) -> tuple[dict[str, float], tuple[float, float]]:
     """Scale of the log's R per filter, and the dead reckoning's noise: least one-step error of fixes.
 
     On tracks 1-3 and training seeds; no truth enters.
