@@ -188,6 +188,7 @@ def compare(
     progress: str = "",
     measure: str | None = None,
     blind: bool = False,
+    covariances: bool = True,
 ) -> Comparison:
     """Run every entry on the same recordings.
 
@@ -205,6 +206,7 @@ def compare(
         progress: what to call the progress bar; none if empty.
         measure: one of the problem's measures, the first by default.
         blind: whether what is foretold is wanted though the truth is known.
+        covariances: whether NIS and NEES are looked at, which takes as long as the rest.
 
     Raises:
         ValueError: labels that are not distinct, an unknown `reference`.
@@ -230,7 +232,8 @@ def compare(
         beside[label] = {name: float(found.quantities[name].mean()) for name in more}
         own = entry.parameters
         part = own[: len(looked)] if isinstance(own, list) else own
-        nis[label], nees[label] = looked.consistency(entry.filter, part, entry.interval)
+        if covariances:
+            nis[label], nees[label] = looked.consistency(entry.filter, part, entry.interval)
     kept = {e.label: _trace(e, cases, chosen) for e in entries if e.label in keep}
     redrawn = _redrawn(entries, cases, chosen, errors, kept)
     ends = (plain or cases.plain, oracle or cases.problem.bound)

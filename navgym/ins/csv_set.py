@@ -15,6 +15,7 @@ from navgym.core.notes import Notes
 from navgym.core.tables import Table, read_table, write_table
 from navgym.ins.layout import STATES
 from navgym.ins.model import AidingModel, InsModel
+from navgym.ins.plausible import axes, concerns
 from navgym.ins.recording import Aiding, InertialRecording, nine_digits
 from navgym.ins.simulation import local
 
@@ -79,7 +80,8 @@ def read_ins_csv(
         turn: axes of the IMU that point the other way or are another's, for example
             {"gyro_y": "-gyro_y", "acc_x": "acc_y"}: column of our axis to that of the file, with a sign.
         silent_after: usual intervals after which a Doppler log counts as silent.
-        check_units: whether to refuse data whose units or axes cannot be.
+        check_units: whether to refuse data whose units or axes cannot be, to hold the IMU's axes against the other
+            sensors, with a warning where another way round fits far better, and to leave out samples at a sensor's stop.
 
     Raises:
         FileNotFoundError: there is no imu.csv.
@@ -115,10 +117,22 @@ def read_ins_csv(
         clock, rate, force, aiding=aiding, model=own, check_units=check_units,
         meta={"format": "ins_csv", "source": folder.name, "reading": said.sentences},
     )  # fmt: skip
+    if check_units:
+        recording = _doubted(recording, said)
     if reference is None:
         return recording
     truth = _truth(recording, reference)
     return dataclasses.replace(recording, truth=truth, check_units=False)
+
+
+def _doubted(recording: InertialRecording, said: Notes) -> InertialRecording:
+    """The same with what looks wrong among its sentences; warns (UserWarning) of axes that are turned over."""
+    for text in concerns(recording):
+        said.say(text)
+    for text in axes(recording):
+        said.doubt(text)
+    meta = dict(recording.meta) | {"reading": said.sentences}
+    return dataclasses.replace(recording, meta=meta, check_units=False)
 
 
 def write_ins_csv(recording: InertialRecording, path: str | os.PathLike[str]) -> Path:

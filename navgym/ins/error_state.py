@@ -294,12 +294,38 @@ def keep_prior(lane):
 
 
 @part
+def turn_with(lane):
+    """P as it is about the velocity that `dx` leads to: v's errors += (v̂⁺ − v̂⁻) × φ.
+
+    What a Doppler log measures is Ĉᵀv̂ − Cᵀv, to first order Cᵀ(δv − v × φ), whatever the heading. Which δv goes with which φ
+    depends on v: left as it was about a velocity that is corrected by much, P would claim to know the
+    heading from it, which nothing has shown.
+    """
+    P, dx = lane.P, lane.dx
+    x, y, z = dx[AT.V], dx[AT.V + 1], dx[AT.V + 2]
+    for j in range(STATES):
+        a, b, c = P[AT.PHI, j], P[AT.PHI + 1, j], P[AT.PHI + 2, j]
+        P[AT.V, j] -= y * c - z * b
+        P[AT.V + 1, j] -= z * a - x * c
+        P[AT.V + 2, j] -= x * b - y * a
+    for i in range(STATES):
+        a, b, c = P[i, AT.PHI], P[i, AT.PHI + 1], P[i, AT.PHI + 2]
+        P[i, AT.V] -= y * c - z * b
+        P[i, AT.V + 1] -= z * a - x * c
+        P[i, AT.V + 2] -= x * b - y * a
+    for i in range(3):  # rounding
+        for j in range(i):
+            P[AT.V + i, AT.V + j] = P[AT.V + j, AT.V + i]
+
+
+@part
 def take_over(lane, meridian, across):
     """Let the nominal take the error `dx` over; radii with the height added."""
     dx = lane.dx
     if lane.keeps > 0:
         for i in range(STATES):
             lane.removed[i] += dx[i]
+    turn_with(lane)
     lane.place[0] -= dx[AT.R] / meridian
     lane.place[1] -= dx[AT.R + 1] / (across * math.cos(lane.place[0]))
     lane.place[2] += dx[AT.R + 2]

@@ -108,6 +108,20 @@ class InsEstimate(Estimate):
     origin: Array
 
     @property
+    def health(self) -> str:
+        """As of any estimate, and whether the heading is known at the end: what is dead-reckoned turns with it."""
+        found = super().health
+        if self.heading_deviation <= UNKNOWN:
+            return found
+        said = f"heading unknown: to {self.heading_deviation:.1f}° at the end"
+        return said if found == "sound" else f"{found}; {said}"
+
+    @property
+    def heading_deviation(self) -> float:
+        """°, standard deviation of the heading at the end."""
+        return float(np.degrees(self.deviations[-1, PHI.start + 2]))
+
+    @property
     def position(self) -> Array:
         """(K, 3) m, north, east, down of the origin."""
         return self.states[:, R]
@@ -152,10 +166,9 @@ def estimate(chosen: Filter, batch: InsBatch, run: Run) -> InsEstimate:  # noqa:
     """
     recording = batch.recordings[0]
     found = InsEstimate.of(run, batch.time_of(0), origin=recording.model.origin)
-    heading = float(np.degrees(found.deviations[-1, PHI.start + 2]))
-    if heading > UNKNOWN:
+    if found.heading_deviation > UNKNOWN:
         warnings.warn(
-            f"the heading is known to {heading:.1f}° only at the end: it takes a magnetometer, position fixes "
+            f"the heading is known to {found.heading_deviation:.1f}° only at the end: it takes a magnetometer, position fixes "
             "on a way that turns, or better gyros.",
             stacklevel=4,
         )

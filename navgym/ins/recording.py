@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +18,7 @@ from navgym.core.frozen import Frozen
 from navgym.inertial.earth import GRAVITY
 from navgym.ins.layout import STATES
 from navgym.ins.model import AidingModel, InsModel
+from navgym.ins.stops import CHANNELS, saturated
 
 IMPOSSIBLE = 1e9  # what no sensor measures, but a damaged file holds
 UNEVEN = 0.02  # by how much of it an IMU's step may miss the usual one
@@ -91,7 +93,8 @@ class InertialRecording(Frozen):
         noise_scales: true variance of each measurement over the model's, (M,) by sensor, or None.
         imu_scale: (K,) the same of the IMU's white noise, or None.
         meta: anything that JSON can hold: where the recording comes from, regime names.
-        check_units: whether to refuse data whose units or axes cannot be.
+        check_units: whether to refuse data whose units or axes cannot be, and to take samples at the stop of
+            a sensor's range for missing, with a warning (`navgym.ins.stops`).
 
     K is the number of filter steps, T // model.samples_per_step.
 
@@ -142,6 +145,7 @@ class InertialRecording(Frozen):
             arrays["noise_scales"] = _checked_scales(self.noise_scales, arrays["aiding"])
         if self.check_units:
             _check_units(time, arrays)
+            _leave_out_stops(arrays, float(np.median(np.diff(time))))
         self._freeze(arrays | {"meta": _storage.writable(self.meta)})
 
     @classmethod
@@ -330,6 +334,22 @@ def _check_units(time: Array, arrays: Mapping[str, Any]) -> None:
             f"angle must be increments in rad, got a median rate of {rate:.3g} rad/s: check whether "
             "it holds degrees or rates, and pass rates to InertialRecording.from_rates."
         )
+
+
+def _leave_out_stops(arrays: dict[str, Any], h: float) -> None:
+    """Samples at which a channel stands at the stop of its range become missing ones; UserWarning."""
+    for field_, names in CHANNELS.items():
+        at_stop, found = saturated(arrays[field_], names)
+        if not found:
+            continue
+        for name, stop, count in found:
+            warnings.warn(
+                f"{field_}: {name} says exactly {stop / h:.6g}, the end of its range, {count} times: it is saturated. "
+                "These samples count as missing; use a sensor of wider range or better mounting against shocks, or "
+                "keep them with check_units=False.",
+                stacklevel=5,
+            )
+        arrays[field_] = np.where(at_stop[:, None], np.nan, arrays[field_])
 
 
 __all__ = ["Aiding", "AidingModel", "InertialRecording"]

@@ -27,11 +27,11 @@ FILL = Parameter(
     equation="what a lost velocity becomes: nothing, the last one, three of them extrapolated (QIVBF eq. 27)",
 )  # fmt: skip
 FILL_VARIANCE = Parameter(
-    "fill_variance", "R_f", "m²/s²", 0.01, 10.0, "log", 0.3,
+    "fill_variance", "R_f", "m²/s²", 0.01, 10.0, "log", 0.3, widest=(1e-6, 100.0),
     equation="variance of what stands in (QIVBF eq. 28: Σl² times it where three are extrapolated)",
 )  # fmt: skip
 FILL_GROWTH = Parameter(
-    "fill_growth", "Ṙ_f", "m²/s³", 0.001, 1.0, "log", 0.03,
+    "fill_growth", "Ṙ_f", "m²/s³", 0.001, 1.0, "log", 0.03, widest=(1e-9, 10.0),
     equation="by which that variance grows per second since the loss (not in the paper)",
 )  # fmt: skip
 FILL_TURN = Parameter(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from navgym.ins.plausible import axes, clocks, concerns
 from navgym.ins.recording import InertialRecording
 
 
@@ -23,4 +24,7 @@ def told(recording: InertialRecording) -> list[tuple[str, str]]:
     truth = "none: judged by its innovations"
     if r.truth is not None:
         truth = f"reference for {np.isfinite(r.truth[:, 0]).mean():.1%} of the steps"
-    return [("IMU", rate), ("measured", ", ".join(parts) or "nothing else"), ("truth", truth), ("model", believed)]  # fmt: skip
+    known = r.meta.get("reading", ())  # a reader may have said some of it
+    doubts = [*concerns(r), *axes(r), *clocks(r)]
+    more = [("doubt", text) for text in doubts if text not in known]
+    return [("IMU", rate), ("measured", ", ".join(parts) or "nothing else"), ("truth", truth), ("model", believed), *more]  # fmt: skip

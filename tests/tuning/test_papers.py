@@ -8,9 +8,22 @@ import pytest
 
 import navgym
 from navgym.deck.log_columns import COLUMNS
-from navgym.tuning.papers import claims, expected_idam, idam, idam_figures, idam_ship, part, qivbf
+from navgym.metrics import paired_difference
+from navgym.statespace.recording import Recording
+from navgym.tuning.papers import (
+    claims,
+    expected_idam,
+    idam,
+    idam_figures,
+    idam_ship,
+    ins,
+    ins_tables,
+    part,
+    qivbf,
+)
 from navgym.tuning.papers import qivbf_figures as figures
 from navgym.tuning.papers.claims import FAILS, HOLDS, PARTLY, Finding, judge
+from navgym.tuning.papers.dead_reckoning import dead_reckon
 from navgym.tuning.papers.expected import Check
 from navgym.tuning.report.page import Section, write_page
 
@@ -141,3 +154,42 @@ def test_everything_that_idam_prints_is_judged_once_and_every_part_has_a_check()
     assert sorted(judged) == sorted(claims.IDAM)
     assert set(PRINTED["IDAM"]) < set(judged)
     assert all(p.checks for p in parts)
+
+
+class TestIns:
+    def test_dead_reckoning_with_the_right_way_and_no_noise_is_the_truth(self):
+        time = np.arange(1.0, 101.0)
+        way = np.stack([1.5 * np.sin(0.05 * time), 1.5 * np.cos(0.05 * time)], axis=1)
+        place = np.cumsum(way, axis=0)
+        truth = np.stack([place[:, 0], way[:, 0], place[:, 1], way[:, 1]], axis=1)
+        model = navgym.LinearModel.white_acceleration(1.0, position_noise=1.0, x0=np.zeros(4))
+        lost = np.ones((100, 4), bool)
+        lost[::10] = False
+        log = Recording(time=time, measurements=truth, lost=lost, truth=truth, model=model)
+        exact, cost = dead_reckon(log, way, (1e-4, 1e-4))
+        np.testing.assert_allclose(exact[:, [0, 2]], place, atol=1e-9)
+        assert cost < 1e-12
+        # a log that says 1 % too much: its scale is found by the fixes
+        more, _ = dead_reckon(log, 1.01 * way, (1e-6, 1e-6))
+        assert np.hypot(*(more[-1, [0, 2]] - place[-1])) < 0.3 * 0.01 * np.hypot(*way.T).sum()
+
+    def test_a_verdict_on_the_conclusion_follows_from_the_gains(self):
+        rng = np.random.default_rng(0)
+        base = 1.0 + 0.1 * rng.random(24)
+        gains = {n: paired_difference(k * base, base) for n, k in (("a", 0.5), ("b", 2.0))}
+        assert ins_tables._judged(gains).verdict == PARTLY
+        assert ins_tables._judged({"a": gains["a"]}).verdict == HOLDS
+        assert ins_tables._judged({"b": gains["b"]}).verdict == FAILS
+
+    def test_shortened_missions_say_so_and_whole_ones_do_not(self):
+        assert ins.QUICK.told == ins.QUICK.runs
+        assert ins.FULL.told is None
+        assert ins.FULL.runs >= 20
+
+    @pytest.mark.slow
+    def test_every_part_has_checks_and_the_models_claims_are_judged_once(self):
+        parts = list(ins.ins(replace(ins.QUICK, runs=2, duration=130.0), None))
+        assert all(p.checks for p in parts)
+        judged = [f.claim.where for p in parts for f in p.findings]
+        assert sorted(judged) == ["conclusion", "equations 3-4"]
+        json.dumps(part.results(parts, {}), allow_nan=False)

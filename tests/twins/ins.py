@@ -154,6 +154,10 @@ class Navigator:
         _, _, _, RN, RE = frame(self.place, self.v)
         self.place = self.place - [x[0] / RN, 0.0, -x[2]]
         self.place[1] -= x[1] / (RE * np.cos(self.place[0]))
+        # which δv goes with which φ, about the velocity as it is now
+        J = np.eye(n)
+        J[v, phi] = -cross(x[v])
+        self.P = J @ self.P @ J.T
         self.v = self.v - x[v]
         self.C = Rotation.from_rotvec(x[phi]).as_matrix() @ self.C
         self.constants[9:] += x[9:]

@@ -19,21 +19,29 @@ ABOUT = """How fast navgym is, as ratios to well-known things measured in the sa
 
     navgym benchmark auv                print the table
     navgym benchmark deck
+    navgym benchmark ins                against numpy, pyins and navlib
     navgym benchmark agents             learning, acting, live filters (needs the agents extra)
     navgym benchmark studies            what Optuna and its storage cost
     navgym benchmark deck --write benchmarks-deck.md
 
 Machines are noisy, so each pair is run in turns, and the median of the ratios is what counts. The
-peers filterpy, fastrvm and dynamax are optional: pip install filterpy fastrvm dynamax.
+peers filterpy, fastrvm, dynamax, pyins and navlib are optional: pip install filterpy fastrvm dynamax
+python-ins navlib.
 """
-TITLES = {"auv": "the AUV", "deck": "the deck", "agents": "agents", "studies": "studies"}
+TITLES = {
+    "auv": "the AUV",
+    "deck": "the deck",
+    "ins": "the INS",
+    "agents": "agents",
+    "studies": "studies",
+}
 
 
 @dataclass(frozen=True)
 class BenchmarkOptions:
     """What was asked for."""
 
-    part: Annotated[Literal["auv", "deck", "agents", "studies"], tyro.conf.Positional]
+    part: Annotated[Literal["auv", "deck", "ins", "agents", "studies"], tyro.conf.Positional]
     """what to measure"""
     rounds: int = 7
     """turns per pair"""
@@ -62,6 +70,6 @@ def _part(name: str) -> Callable[[int], list[Row]]:
         from navgym.tuning.benchmarks.studies import studies
 
         return studies
-    from navgym.tuning.benchmarks import auv, deck
+    from navgym.tuning.benchmarks import auv, deck, ins
 
-    return {"auv": auv.auv, "deck": deck.deck}[name]
+    return {"auv": auv.auv, "deck": deck.deck, "ins": ins.ins}[name]

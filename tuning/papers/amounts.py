@@ -53,3 +53,37 @@ class DeckReproductionAmount:
             overrides["duration"] = self.duration
         count = self.runs if split == "test" else self.train
         return Cases.simulated(f"deck/{scenario}", split, count, **overrides)
+
+
+# outages of shortened missions; those of 20 minutes have theirs from the catalogue
+SHORT_OUTAGES = ((90.0, 40.0), (150.0, 30.0))
+
+
+@dataclass(frozen=True)
+class InsReproductionAmount:
+    """How much of INS/DVL is run.
+
+    Args:
+        runs: paired test missions per comparison.
+        train: training seeds per real track, for a choice.
+        draws: test seeds of noise and losses per real track.
+        duration: s per mission; None for each scenario's own.
+    """
+
+    runs: int
+    train: int
+    draws: int
+    duration: float | None = None
+
+    def cases(self, scenario: str, **overrides: Any) -> Cases:
+        """Test missions of a scenario in this size."""
+        if self.duration is not None:
+            overrides["duration"] = self.duration
+            if scenario == "outage":
+                overrides["outages"] = SHORT_OUTAGES
+        return Cases.simulated(f"ins/{scenario}", "test", self.runs, **overrides)
+
+    @property
+    def told(self) -> int | None:
+        """What a part says that it rests on: a shortened run is no evaluation, whatever their number."""
+        return None if self.duration is None else self.runs

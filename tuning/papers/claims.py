@@ -97,6 +97,17 @@ def _qivbf() -> dict[str, Claim]:
             "turn at these noise levels shows. With the signs as printed (eq. 16, 26) every run diverges "
             f"({page}, Errata).",
         ),
+        "equations 3-4": (
+            "give the error model of an INS with Doppler log, magnetometer and depth that the filter is for; nothing "
+            "in the paper is run on it.",
+            "Signs, axes and blocks are wrong in the print (docs/science/ins.md, Errata); corrected, the model is linear "
+            "given the nominal, and its covariance can be held against its errors.",
+        ),
+        "conclusion": (
+            "claims that QIVBF is much better than the Kalman filter where measurements are lost.",
+            "A lost Doppler velocity is bridged by the IMU: what a parabola through the last three adds is noise times Σl². "
+            "Estimating R pays where the noise changes, lost or not (docs/science/ins.md).",
+        ),
         "figure 2": ("shows the position in x: QIVBF on the reference, the Kalman filter off it.", axis),
         "figure 3": ("shows the position in y: as in x.", axis),
         "figure 4": (
