@@ -80,7 +80,7 @@ def about(problem: Problem) -> dict[str, str]:
         "it would leave what it knows",
         TRUE_REGIME: "parameters by the true regime, which nobody knows: a bound",
     }
-    return found | {r.label: r.about for r in rivals}
+    return found | {r.label: r.about for r in (*rivals, *contest.seers)}
 
 
 def who(benches: Sequence[Bench]) -> list[Table]:
