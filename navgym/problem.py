@@ -335,6 +335,8 @@ class Rival:
         bound: whether it needs the truth.
         adapts: whether it adapts without having learnt anything.
         real_only: whether it is shown on real recordings only.
+        overrides: fields of the scenario to change, for one that has another sensor on board: the same
+            seeds, simulated recordings only.
     """
 
     label: str
@@ -344,6 +346,22 @@ class Rival:
     bound: bool = False
     adapts: bool = False
     real_only: bool = False
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Seer:
+    """A rule that knows the truth: a bound on what rules and policies can win, in every ladder.
+
+    Args:
+        label: what tables call it.
+        schedule: (recording) to parameters of the contest's default filter, a number per filter step.
+        about: what it is, for reports.
+    """
+
+    label: str
+    schedule: Callable[[Any], Mapping[str, Any]]
+    about: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -373,6 +391,7 @@ class Contest:
         quick: overrides of the scenario in a short run.
         shift_first_only: whether one own condition's shifts tell enough of the others'.
         streams_own: whether policies run sample by sample, with their fallback, in own conditions.
+        seers: rules that know the truth.
     """
 
     quantities: tuple[str, ...]
@@ -396,6 +415,7 @@ class Contest:
     quick: Mapping[str, Any] = field(default_factory=dict)
     shift_first_only: bool = False
     streams_own: bool = True
+    seers: tuple[Seer, ...] = ()
 
     @property
     def plain(self) -> str:
@@ -414,6 +434,8 @@ class Tracks:
         rates: shares of lost samples.
         recording: (folder, track, rate, seed) to a recording; folder None: a simulated stand-in.
         title: what reports call the data set.
+        variants: further conditions that policies are held against there, by name: (folder, track, seed)
+            to a recording.
     """
 
     name: str
@@ -422,6 +444,7 @@ class Tracks:
     rates: tuple[float, ...]
     recording: Callable[..., Any]
     title: str = ""
+    variants: Mapping[str, Callable[..., Any]] = field(default_factory=dict)
 
     @property
     def numbers(self) -> tuple[int, ...]:

@@ -127,6 +127,7 @@ def real_cases(
     draws: int,
     split: str,
     tracks: Sequence[int] | None = None,
+    variant: str = "",
 ) -> Cases:
     """Recordings of each track under independent losses, `draws` of noise and losses per track.
 
@@ -137,16 +138,19 @@ def real_cases(
         draws: noise and loss seeds per track.
         split: whose seeds.
         tracks: which; every one by default.
+        variant: name of another condition there, which has no rate.
     """
     known = tracks_of(problem)
     numbers = known.numbers if tracks is None else tracks
     chosen = navgym.seeds(split, draws)
-    recordings = [
-        known.recording(folder, track, rate, seed) for track in numbers for seed in chosen
-    ]
+    each = [(track, seed) for track in numbers for seed in chosen]
+    if variant:
+        recordings = [known.variants[variant](folder, track, seed) for track, seed in each]
+    else:
+        recordings = [known.recording(folder, track, rate, seed) for track, seed in each]
     about = {
         "tracks": list(numbers),
-        "loss": rate,
+        **({"variant": variant} if variant else {"loss": rate}),
         "split": split,
         "seeds": [chosen.start, chosen.stop - 1],
         "source": "simulated stand-in" if folder is None else known.title,
@@ -155,12 +159,18 @@ def real_cases(
 
 
 def cross_tuned(
-    problem: Problem, entry: Entry, folder: Path | None, draws: int, trials: int, seed: int = 0
+    problem: Problem,
+    entry: Entry,
+    folder: Path | None,
+    draws: int,
+    trials: int,
+    seed: int = 0,
+    variant: str = "",
 ) -> Iterator[tuple[tuple[int, ...], dict[str, Any]]]:
     """Parameters of `entry.filter` for each half of the tracks, tuned on the other half.
 
-    Tuning takes all loss rates together and the training seeds of noise and losses; so neither the
-    tracks nor the seeds of a report were tuned on. Numbers of sweeps, which cost time and change little,
+    Tuning takes all loss rates together, or the variant, and the training seeds of noise and losses; so
+    neither the tracks nor the seeds of a report were tuned on. Numbers of sweeps, which cost time and change little,
     stay as they are. Yields (tracks to report on, parameters).
     """
     known = tracks_of(problem)
@@ -168,10 +178,11 @@ def cross_tuned(
     for report_on, tune_on in (known.folds, known.folds[::-1]):
         recordings = [
             r
-            for rate in known.rates
-            for r in real_cases(problem, folder, rate, draws, "train", tune_on).recordings
+            for rate in (known.rates[:1] if variant else known.rates)
+            for r in real_cases(problem, folder, rate, draws, "train", tune_on, variant).recordings
         ]
-        about = {"tracks": list(tune_on), "loss": list(known.rates), "seeds": "training"}
+        losses = {"variant": variant} if variant else {"loss": list(known.rates)}
+        about = {"tracks": list(tune_on), **losses, "seeds": "training"}
         goal = Objective(entry.filter, free, Cases.of(recordings, about))
         outcome = search(goal, trials, seed, progress=False).complete()
         yield report_on, dict(outcome.best.values)

@@ -216,6 +216,8 @@ def whole_filters(problem: Problem, real: bool = False) -> list[Entry]:
         real: whether recordings are real: they lack the truth that bounds need, and some filters
             are shown on them only.
     """
-    rivals = [r for r in problem.contest.rivals if not (r.bound if real else r.real_only)]
+    rivals = [
+        r for r in problem.contest.rivals if not (r.bound or r.overrides if real else r.real_only)
+    ]
     chosen = sorted(rivals, key=lambda r: r.bound)
     return [Entry(r.label, r.filter, r.parameters, bound=r.bound) for r in chosen]

@@ -39,6 +39,7 @@ class Condition:
             that no policy here was trained on) or "real" (tracks).
         base: name of the own condition that it shifts; "" for the last two kinds.
         loss: of real tracks.
+        variant: of real tracks, instead of a loss; see `navgym.problem.Tracks`.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Condition:
     kind: str = OWN
     base: str = ""
     loss: float = 0.0
+    variant: str = ""
 
 
 @dataclass(frozen=True)

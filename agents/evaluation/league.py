@@ -38,7 +38,7 @@ from navgym.agents.policies.policy import Policy
 from navgym.core.checks import Array
 from navgym.metrics import consistency
 from navgym.problem import Problem, Run, Tracks
-from navgym.simulation import find_scenario
+from navgym.simulation import find_scenario, simulate_many
 from navgym.tuning.cases import Cases
 from navgym.tuning.comparison import Entry
 from navgym.tuning.experiments import cross_tuned, per_track, real_cases
@@ -76,7 +76,7 @@ class League:
         self.environment = environment
         self.policies, self.own, self.extent = dict(policies), tuple(own), extent
         self.fallback, self.folder, self.combiners = fallback, folder, dict(combiners)
-        self._on_tracks: list[Any] | None = None
+        self._on_tracks: dict[str, list[Any]] = {}  # by variant
 
     @property
     def problem(self) -> Problem:
@@ -134,7 +134,9 @@ class League:
         if self.folder is None or tracks is None:
             return []
         rates = tracks.rates[1:2] if self.extent.quick else tracks.rates
-        return [Condition(f"tracks, {100 * r:.0f} % lost", kind=REAL, loss=r) for r in rates]
+        variants = () if self.extent.quick else tuple(tracks.variants)
+        found = [Condition(f"tracks, {100 * r:.0f} % lost", kind=REAL, loss=r) for r in rates]
+        return found + [Condition(f"tracks, {v}", kind=REAL, variant=v) for v in variants]
 
     def count(self, condition: Condition) -> int:
         """Recordings of a condition; of tracks, the draws of each."""
@@ -153,8 +155,9 @@ class League:
         """Recordings `start` to `start + count` of a condition, of test seeds."""
         if condition.kind == REAL:
             every = real_cases(
-                self.problem, self.folder, condition.loss, self.extent.of_track, "test"
-            )
+                self.problem, self.folder, condition.loss, self.extent.of_track, "test",
+                variant=condition.variant,
+            )  # fmt: skip
             return every.take(range(start, start + count))
         return Cases.simulated(
             condition.scenario, "test", count, start, **dict(condition.overrides)
@@ -166,7 +169,9 @@ class League:
         """Everybody who runs, in the order of the ladder: from the plain filter to the bounds."""
         real = condition.kind == REAL
         contest = self.problem.contest
-        whole = {e.label: Contender(e) for e in whole_filters(self.problem, real)}
+        whole = {
+            e.label: self._whole(e, condition, cases) for e in whole_filters(self.problem, real)
+        }
         found = [whole.pop(contest.plain)]
         found += [whole.pop(r.label) for r in contest.rivals if r.real_only and r.label in whole]
         if condition.kind == OWN:
@@ -180,7 +185,37 @@ class League:
         bounds = [whole.pop(r.label) for r in contest.rivals if r.bound and r.label in whole]
         combined = self.combiners if combines(self.problem) else {}
         combining = [Contender(Entry(k, BANK), runs=c) for k, c in combined.items()]
-        return [*found, *whole.values(), *combining, *bounds]
+        return [*found, *whole.values(), *combining, *self._seers(cases), *bounds]
+
+    def _whole(self, entry: Entry, condition: Condition, cases: Cases) -> Contender:
+        """A filter that needs no choice of parameters, where it says so with other sensors on board."""
+        rival = next(r for r in self.problem.contest.rivals if r.label == entry.label)
+        if not rival.overrides:
+            return Contender(entry)
+
+        def states() -> tuple[Array, NDArray[Any]]:
+            other = {**condition.overrides, **rival.overrides}
+            seeds = [r.meta["seed"] for r in cases.recordings]
+            batch = self.problem.stack(simulate_many(condition.scenario, seeds, **other))
+            run = self.problem.run(entry.filter, batch, entry.parameters)
+            return run.states, run.diverged
+
+        return Contender(entry, states=states)
+
+    def _seers(self, cases: Cases) -> list[Contender]:
+        """Rules that know the truth, where there is one."""
+        contest, recordings = self.problem.contest, cases.recordings
+        if any(r.truth is None for r in recordings):
+            return []
+        return [
+            Contender(
+                Entry(
+                    s.label, contest.default, [dict(s.schedule(r)) for r in recordings], bound=True,
+                    interval=1,
+                )
+            )
+            for s in contest.seers
+        ]  # fmt: skip
 
     def _fixed(self, condition: Condition, cases: Cases) -> list[Contender]:
         """The best fixed parameters here, and the policies' own where they are others."""
@@ -188,23 +223,25 @@ class League:
         here = None
         if condition.kind != REAL:
             here = dict(find_scenario(condition.scenario).reference)
-        best = self._tuned_on_tracks(cases) if here is None else here
+        best = self._tuned_on_tracks(condition.variant, cases) if here is None else here
         found = [Contender(Entry(BEST_FIXED, self.problem.contest.default, best))]
         for label, values in self._references(here).items():
             entry = Entry(label, own.settings.FILTER, values)
             found.append(Contender(entry, runs=own.replayed(())))
         return found
 
-    def _tuned_on_tracks(self, cases: Cases) -> list[Any]:
+    def _tuned_on_tracks(self, variant: str, cases: Cases) -> list[Any]:
         """Per recording, the default filter's parameters tuned on the other fold of the tracks."""
-        if self._on_tracks is None:
+        if variant not in self._on_tracks:
             name = self.problem.contest.default
             draws = max(self.extent.of_track // 2, 1)
             trials = QUICK_TRIALS if self.extent.quick else TRACK_TRIALS
-            self._on_tracks = list(
-                cross_tuned(self.problem, Entry(name, name), self.folder, draws, trials)
+            self._on_tracks[variant] = list(
+                cross_tuned(
+                    self.problem, Entry(name, name), self.folder, draws, trials, variant=variant
+                )
             )
-        return per_track(cases, self._on_tracks)
+        return per_track(cases, self._on_tracks[variant])
 
     def fixed_label(self, policy: str) -> str:
         """What the fixed parameters are called that a policy starts from; some share theirs."""

@@ -80,7 +80,8 @@ def about(problem: Problem) -> dict[str, str]:
         "it would leave what it knows",
         TRUE_REGIME: "parameters by the true regime, which nobody knows: a bound",
     }
-    return found | {r.label: r.about for r in rivals}
+    found |= {r.label: r.about for r in rivals}
+    return found | {s.label: s.about for s in contest.seers}
 
 
 def who(benches: Sequence[Bench]) -> list[Table]:

@@ -15,6 +15,7 @@ from navgym.agents.policies import portable
 from navgym.agents.policies.manifest import Manifest
 from navgym.core.checks import Array, one_of, real_array, shaped
 from navgym.envs.actions import LIMIT, action_table, fill_rows
+from navgym.problem import PROBLEMS
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -317,15 +318,35 @@ def _checked_layers(
 
 
 def located(name: str | os.PathLike[str]) -> Path:
-    """A learned thing's path: as given, or, of a bare name that is no file here, the shipped one's."""
+    """A learned thing's path: as given, or, of a bare name that is no file here, the shipped one's.
+
+    Raises FileNotFoundError for the name of a problem that no policy is shipped for.
+    """
     path = Path(name)
     there = any(file.exists() for file in portable.pair(path))
     ours = PRETRAINED / path
     known = len(path.parts) == 1 and portable.pair(ours)[0].exists()
+    if not there and not known and str(name) in PROBLEMS:
+        raise FileNotFoundError(none_for(str(name)))
     return ours if known and not there else path
 
 
 def shipped(name: str) -> Policy:
     """A policy that comes with navgym: "auv" or "deck"; ValueError for another name."""
-    environments = [p.stem for p in PRETRAINED.glob("*.json") if p.stem != "combiner"]
-    return Policy.load(PRETRAINED / one_of("shipped policy", name, environments))
+    found = _shipped()
+    if name not in found and name in PROBLEMS:
+        raise ValueError(none_for(name))
+    return Policy.load(PRETRAINED / one_of("shipped policy", name, found))
+
+
+def _shipped() -> list[str]:
+    """Names of the policies that come with navgym."""
+    return sorted(p.stem for p in PRETRAINED.glob("*.json") if p.stem != "combiner")
+
+
+def none_for(problem: str) -> str:
+    """A sentence for whoever asks for a policy of a problem that none is shipped for."""
+    return (
+        f"navgym ships no policy for {problem!r}, only for {', '.join(_shipped())}: train one with "
+        f"`navgym train`, which lists its presets, and name its path. docs/agents.md says why."
+    )

@@ -23,8 +23,8 @@ from navgym.ins.recording import InertialRecording
 from navgym.ins.settings import INSDropoutSettings
 
 SIGNAL_NAMES = (
-    "since", "turned", "change", "frozen.change", "spread", "frozen.spread", "log_nis.0.8", "log_nis.0.97",
-    "lost", "rate", "shake",
+    "since", "turned", "change", "twin.change", "spread", "twin.spread", "jolt", "jolt.most",
+    "log_nis.0.8", "log_nis.0.97", "lost", "rate", "shake",
 )  # fmt: skip
 
 
@@ -75,8 +75,8 @@ class InsEngine(LaneEngine):
                 "events": np.zeros((lanes, events), EVENT),
                 "sensors": np.zeros((lanes, SENSORS), SENSOR),
                 "scores": np.zeros((lanes, longest, K.SCORES)),
-                "frozen": np.zeros((lanes, longest, K.FROZEN)),
-                "means": np.zeros(lanes),
+                "twin": np.zeros((lanes, longest, K.TWIN)),
+                "means": np.zeros((lanes, 2)),
                 "checkpoints": np.zeros(lanes, LANE),
             },
         )
@@ -96,15 +96,17 @@ class InsEngine(LaneEngine):
         lanes, checkpoints = np.zeros(count, LANE), np.zeros(count, LANE)
         filtering.begin(lanes, batch.models, full_table(self.space, stations["row"]))
         checkpoints[...] = lanes
+        twins = lanes.copy()
         begun = stations.copy()
-        scores, frozen = (np.zeros((count, steps, n)) for n in (K.SCORES, K.FROZEN))
-        means = np.zeros(count)
+        scores, told = (np.zeros((count, steps, n)) for n in (K.SCORES, K.TWIN))
+        means = np.zeros((count, 2))
         K.rehearse(
-            lanes, stations, batch.models, batch.sensors, batch.tapes, batch.events, self._filter_rule,
-            self._rule, GATE, self._starts(batch), self._report, checkpoints, begun, scores, frozen, means,
+            lanes, twins, stations, batch.models, batch.sensors, batch.tapes, batch.events,
+            self._filter_rule, self._rule, GATE, self._starts(batch), self._report, checkpoints, begun,
+            scores, told, means,
         )  # fmt: skip
         extra: dict[str, Any] = {
-            "events": batch.events, "sensors": batch.sensors, "scores": scores, "frozen": frozen,
+            "events": batch.events, "sensors": batch.sensors, "scores": scores, "twin": told,
             "means": means, "checkpoints": checkpoints,
         }  # fmt: skip
         labels = [{"recording": i, **dict(r.meta)} for i, r in enumerate(recordings)]
@@ -144,7 +146,7 @@ class InsEngine(LaneEngine):
         """Arguments of `decide` from the models to the filter's rule."""
         shelf, extra = self.shelf, self.shelf.extra
         return (
-            shelf.models, extra["sensors"], shelf.tapes, extra["events"], extra["scores"], extra["frozen"],
+            shelf.models, extra["sensors"], shelf.tapes, extra["events"], extra["scores"], extra["twin"],
             extra["means"], self._filter_rule,
         )  # fmt: skip
 

@@ -1,8 +1,8 @@
 """Compiled core of the INS environment: what a lane sees, does and earns in one decision.
 
 A *station* is what one lane keeps between decisions beside its filter. The reference filter runs over a
-recording once: its squared errors, and what it says of itself while the Doppler log is silent, do not
-depend on the agent.
+recording once, and so does its *twin*, for which nothing stands in: the squared errors of the one, and
+what the other says while the Doppler log is silent, do not depend on the agent.
 """
 
 from __future__ import annotations
@@ -25,16 +25,18 @@ from navgym.envs.base import (
 )
 from navgym.inertial.update import LOG_2PI
 from navgym.ins import spaces
-from navgym.ins.filtering import advance
-from navgym.ins.layout import AT, COLUMNS, STATES
+from navgym.ins.filtering import SKIP, advance
+from navgym.ins.layout import AT, COLUMNS, FILL, STATES
 
 PARAMETERS = len(spaces.KF)  # of the environment's space
 DECAYS = np.array([0.8, 0.97])  # per received step
 LOSS_DECAY = 0.98  # per step
 VELOCITY_UNIT, CHANGE_UNIT, RATE_UNIT = 0.05, 0.3, 0.1  # m/s, m/s, rad/s: observations of about 1
-SIGNALS = 11
-FROZEN = 2  # of them what the reference filter says
-RELATIVE, ABSOLUTE, LIKELIHOOD = range(3)
+JOLT_TIME = 30.0  # s, in which a change that the accelerometers foretell is forgotten
+QUIET = 1.5  # s: a log that has spoken since is not silent
+SIGNALS = 13
+TWIN = 4  # of them what the twin says
+RELATIVE, ABSOLUTE, LIKELIHOOD, POSITION = range(4)
 SCORES = 3  # of the reference: squared errors of position and velocity, log-likelihood
 (
     POSITION_RMSE, REFERENCE_POSITION, VELOCITY_RMSE, REFERENCE_VELOCITY, NIS, SILENCE, REGIME, TERM,
@@ -57,7 +59,9 @@ STATION = np.dtype(
         ("lost", f8),  # share of steps in which the Doppler log should have spoken and did not, lately
         ("rate", f8),  # rad/s
         ("shake", f8),  # half the logarithm of the vibration meter over the model
-        ("frozen", f8, (FROZEN,)),
+        ("twin", f8, (TWIN,)),
+        ("twin_body", f8, (2,)),  # the twin's horizontal body velocity, m/s
+        ("jolt", f8, (2,)),  # by how much that has changed lately, while the log is silent
     ]
 )  # fmt: skip
 
@@ -113,14 +117,16 @@ def observe(station, lane, table, obs, i):
     obs[i, 0] = bounded(math.log1p(max(since, 0.0)))
     obs[i, 1] = bounded(heard * lane.turned / (0.5 * math.pi))
     obs[i, 2] = bounded(change_of_velocity(lane) / CHANGE_UNIT)
-    obs[i, 3] = station.frozen[0]
+    obs[i, 3] = station.twin[0]
     obs[i, 4] = spread_of_velocity(lane)
-    obs[i, 5] = station.frozen[1]
+    obs[i, 5] = station.twin[1]
+    obs[i, 6] = station.twin[2]
+    obs[i, 7] = station.twin[3]
     for d in range(DECAYS.shape[0]):
-        obs[i, 6 + d] = bounded(station.mean[d])
-    obs[i, 8] = station.lost
-    obs[i, 9] = bounded(station.rate / RATE_UNIT)
-    obs[i, 10] = station.shake
+        obs[i, 8 + d] = bounded(station.mean[d])
+    obs[i, 10] = station.lost
+    obs[i, 11] = bounded(station.rate / RATE_UNIT)
+    obs[i, 12] = station.shake
     for a in range(table.shape[0]):
         obs[i, SIGNALS + a] = place(station, table, a)
 
@@ -135,21 +141,60 @@ def score(lane, tape, out):
 
 
 @part
-def freeze(lane, out):
-    """What the reference filter says of a silent log: out (FROZEN,)."""
-    out[0] = bounded(change_of_velocity(lane) / CHANGE_UNIT)
-    out[1] = spread_of_velocity(lane)
+def ahead(lane, tapes, scores, k):
+    """By how much the squared error of the position is larger than the reference's after k steps; 0 where
+    that is not known.
+    """
+    if k == 0 or not math.isfinite(tapes[k - 1].truth[0]):
+        return 0.0
+    error = -scores[k - 1, 0]
+    for a in range(2):
+        error += (lane.x[AT.R + a] - tapes[k - 1].truth[a]) ** 2
+    return error
+
+
+@part
+def jolt(station, twin, T):
+    """What the accelerometers say of a change of speed: biases drift, and are forgotten; a change is not
+    at once.
+    """
+    silent, keep, total = twin.silence > QUIET, math.exp(-T / JOLT_TIME), 0.0
+    C, v = twin.attitude, twin.v
+    for i in range(2):
+        now = C[0, i] * v[0] + C[1, i] * v[1] + C[2, i] * v[2]
+        change = now - station.twin_body[i]
+        station.jolt[i] = keep * station.jolt[i] + change if silent else 0.0
+        station.twin_body[i] = now
+        total += station.jolt[i] ** 2
+    station.twin[2] = bounded(math.sqrt(total) / CHANGE_UNIT)
+    station.twin[3] = max(station.twin[3], station.twin[2]) if silent else 0.0
+
+
+@part
+def reckon(twin, lane, model, sensors, tape, events, rule, report, station):
+    """A step of the twin of the reference filter `lane`: nothing stands in. Fills the station's `twin`.
+
+    What it says is what the IMU alone says of a silent log. A twin that fails goes on from the other.
+    """
+    for p in range(len(COLUMNS)):
+        twin.row[p] = lane.row[p]
+    twin.row[FILL] = SKIP
+    advance(twin, model, sensors, tape, events, rule, report)
+    station.twin[0] = bounded(change_of_velocity(twin) / CHANGE_UNIT)
+    station.twin[1] = spread_of_velocity(twin)
+    jolt(station, twin, model.T)
 
 
 @kernel
 def rehearse(
-    lanes, stations, models, sensors, tapes, events, filter_rules, rules, gate, start, reports, checkpoints,
-    starts, scores, frozen, means,
+    lanes, twins, stations, models, sensors, tapes, events, filter_rules, rules, gate, start, reports,
+    checkpoints, starts, scores, told, means,
 ):  # fmt: skip
-    """Run the reference filter over whole recordings.
+    """Run the reference filter and its twin over whole recordings.
 
     Args:
         lanes: (R,) at the start of each.
+        twins: (R,) likewise.
         stations: (R,) with the reference's parameters.
         models: (R,).
         sensors: (R, SENSORS).
@@ -163,8 +208,8 @@ def rehearse(
         checkpoints: (R,) to be filled with the lane as it is then.
         starts: (R,) to be filled with the station as it is then.
         scores: (R, K, SCORES) to be filled.
-        frozen: (R, K, FROZEN) to be filled.
-        means: (R,) to be filled with the mean squared error of velocity from `start` on.
+        told: (R, K, TWIN) to be filled with what the twin says.
+        means: (R, 2) to be filled with the mean squared errors of position and velocity from `start` on.
     """
     for i in range(len(lanes)):
         lane, station = lanes[i], stations[i]
@@ -179,20 +224,27 @@ def rehearse(
                 lane, models[i], sensors[i], tapes[i, k], events[i], filter_rules[0], reports[0]
             )
             watch(station, lane, models[i], tapes[i, k])
-            freeze(lane, station.frozen)
+            reckon(
+                twins[i], lane, models[i], sensors[i], tapes[i, k], events[i], filter_rules[0],
+                reports[0], station,
+            )  # fmt: skip
+            if twins[i].diverged > 0:
+                twins[i] = lanes[i]
             score(lane, tapes[i, k], scores[i, k])
             scores[i, k, 2] = lane.log_likelihood
-            for s in range(FROZEN):
-                frozen[i, k, s] = station.frozen[s]
+            for s in range(TWIN):
+                told[i, k, s] = station.twin[s]
             if k >= start[i] and math.isfinite(scores[i, k, 1]):
-                means[i] += scores[i, k, 1]
+                for s in range(2):
+                    means[i, s] += scores[i, k, s]
                 count += 1.0
-        means[i] = means[i] / count if count > 0.0 else 1.0
+        for s in range(2):
+            means[i, s] = means[i, s] / count if count > 0.0 else 1.0
 
 
 @kernel
 def decide(
-    lanes, stations, models, sensors, tapes, events, scores, frozen, means, filter_rules, rules, gate, reports,
+    lanes, stations, models, sensors, tapes, events, scores, told, means, filter_rules, rules, gate, reports,
     table, actions, obs, out, trail,
 ):  # fmt: skip
     """One decision of every lane: set parameters, filter `interval` steps, look, earn.
@@ -216,12 +268,13 @@ def decide(
         position, velocity, reference_position, reference_velocity = 0.0, 0.0, 0.0, 0.0
         likelihood, nis, heard, count = 0.0, 0.0, 0.0, 0.0
         first, last = station.k, min(station.k + rule.interval, station.length)
+        before = ahead(lane, tapes[w], scores[w], first)
         for k in range(first, last):
             tape = tapes[w, k]
             advance(lane, models[w], sensors[w], tape, events[w], filter_rules[0], reports[0])
             watch(station, lane, models[w], tape)
-            for s in range(FROZEN):
-                station.frozen[s] = frozen[w, k, s]
+            for s in range(TWIN):
+                station.twin[s] = told[w, k, s]
             score(lane, tape, error)
             if math.isfinite(tape.truth[0]):
                 position += error[0]
@@ -241,7 +294,10 @@ def decide(
         observe(station, lane, table, obs, i)
         scale = 1.0 / count if count > 0.0 else 0.0
         if rule.kind == RELATIVE:
-            term = scale * (reference_velocity - velocity) / max(means[w], 1e-8)
+            term = scale * (reference_velocity - velocity) / max(means[w, 1], 1e-8)
+        elif rule.kind == POSITION:
+            grown = ahead(lane, tapes[w], scores[w], last) - before
+            term = -grown / max(means[w, 0], 1e-6)
         elif rule.kind == ABSOLUTE:
             term = -math.sqrt(scale * velocity)
         else:
@@ -291,8 +347,8 @@ def live(
     """One filter step of a voyage under way; returns which of the two lanes have diverged, as bits.
 
     Args:
-        lanes: (2,) the controlled filter and the reference filter.
-        stations: (2,) of both.
+        lanes: (3,) the controlled filter, the reference filter, and its twin.
+        stations: (2,) of the first two.
         models: (1,).
         sensors: (SENSORS,).
         tapes: (1,) the step.
@@ -311,7 +367,19 @@ def live(
         inform(lanes[i], stations[i], rules[0], gate)
         advance(lanes[i], models[0], sensors, tape, events, filter_rules[0], reports[0])
         watch(stations[i], lanes[i], models[0], tape)
-    freeze(lanes[1], stations[0].frozen)
+    reckon(
+        lanes[2],
+        lanes[1],
+        models[0],
+        sensors,
+        tape,
+        events,
+        filter_rules[0],
+        reports[0],
+        stations[0],
+    )
+    if lanes[2].diverged > 0:
+        lanes[2] = lanes[1]
     received = lanes[0].components
     if received > 0:
         tally[HEARD] += 1.0

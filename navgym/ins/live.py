@@ -63,7 +63,7 @@ class _Step:
 
 
 class LiveINS(LiveLane):
-    """The INS filter twice, on the increments of one IMU and what other sensors say.
+    """The INS filter, its reference and that one's twin on one IMU and what other sensors say.
 
     A sample is the IMU's, (2, 3) or 6 numbers: angle increments (rad), velocity increments (m/s); or a
     mapping that holds it as "imu", and beside it measurements by the names of the model's sensors: an array,
@@ -100,7 +100,7 @@ class LiveINS(LiveLane):
         self._unit = self.interval if rates else 1.0
         self._warmup = settings.warmup
         self._names = list(model.sensors)
-        self._memory, parts = pooled((LANE, 2), (K.STATION, 2))
+        self._memory, parts = pooled((LANE, 3), (K.STATION, 2))
         self.lanes, self.stations = parts
         self.tally, self._scratch = np.zeros(TALLY), np.zeros(TALLY)
         self._model, self._sensors = pack_model(model, self.interval), pack_sensors(model)
@@ -134,7 +134,7 @@ class LiveINS(LiveLane):
         self._begin()
 
     def _begin(self) -> None:
-        filtering.begin(self.lanes, np.repeat(self._model, 2), self._own_row)
+        filtering.begin(self.lanes, np.repeat(self._model, 3), self._own_row)
         self.stations[...] = station_of(self.reference)
         self.tally[:] = 0.0
         self.observation[...] = 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -22,6 +23,7 @@ from navgym.problem import (
     Problem,
     Rival,
     Scoring,
+    Seer,
     Steering,
     Study,
     Tracks,
@@ -29,7 +31,9 @@ from navgym.problem import (
     lazy,
 )
 
-STEERED = ("imu_noise_scale", "fill_variance")
+outage = lazy("navgym.ins.tracks:outage")
+
+STEERED = ("imu_noise_scale", "fill", "fill_variance")
 _NOISE = ("imu_noise_scale", "dvl_noise_scale", "fix_noise_scale", "magnetic_noise_scale")
 
 
@@ -121,9 +125,9 @@ TRAINING = Training(
         "ins": Preset(
             "what stands in for a lost Doppler log, once per second",
             {
-                "environment": ENVIRONMENT.id, "scenarios": ("ins/outage", "ins/burst"), "reward": "relative",
-                "action_parameters": ("fill_variance",), "decision_interval": 5, "decisions": 300_000,
-                "recipe": {"gamma": 0.97}, "pool": 64, "validation": 16, "interval": 50_000,
+                "environment": ENVIRONMENT.id, "scenarios": ("ins/outage", "ins/burst"), "reward": "position",
+                "action_parameters": ("fill_variance", "fill_growth"), "decision_interval": 5, "decisions": 250_000,
+                "recipe": {"gamma": 0.995, "gae_lambda": 0.97}, "pool": 100, "validation": 24, "interval": 50_000,
             },
         ),
     },
@@ -135,14 +139,14 @@ CONTEST = Contest(
     rivals=(
         Rival("predict only", "ins_kf", about="the plain filter: nothing stands in for a lost log"),
         Rival("hold", "ins_kf", {"fill": "hold"}, "the last velocity held, its variance growing"),
-        Rival("hold until it turns", "ins_kf", {"fill": "hold", "fill_variance": 0.1, "fill_turn_limit": 15.0}, "held until the gyros have turned by 15°"),
         Rival("student", "ins_student", about="the noise of each sensor a Student-t", adapts=True),
         Rival("vb", "ins_vb", about="R of each sensor estimated", adapts=True),
         Rival("bank", "ins_bank", about="16 hypotheses on R of each sensor; nothing in it was learnt", adapts=True),
+        Rival("water track", "ins_kf", about="the plain filter with a log of the velocity through water, and states for the current", overrides={"water_period": 1.0}),
         Rival("oracle", "oracle", about="told the true noise of every measurement: a bound on noise, not on losses", bound=True),
     ),
     hand_rule=lazy("navgym.ins.rule:TurnGate"),
-    rule="hold until the gyros have turned",
+    rule="hold until the gyros have turned by 30°; it believes the IMU's data sheet",
     default="ins_kf",
     highlight="bank",
     top="oracle",
@@ -158,6 +162,10 @@ CONTEST = Contest(
     quick_shifts=("tactical",),
     shift_first_only=True,
     streams_own=False,
+    seers=(
+        Seer("oracle gate", lazy("navgym.ins.oracles:gate"), "held only while the true body velocity is within .1 m/s of the last measured one: a bound on gates"),
+        Seer("oracle variance", lazy("navgym.ins.oracles:variance"), "held with a variance that follows the true change since: a bound on fills"),
+    ),
 )  # fmt: skip
 
 TRACKS = Tracks(
@@ -168,6 +176,11 @@ TRACKS = Tracks(
     rates=(0.1, 0.3, 0.5),
     recording=lazy("navgym.ins.tracks:recording"),
     title="A-KIT",
+    variants={
+        f"{length:g} s lost{told}": partial(outage, length=length, imu_errors=grade)
+        for grade, told in ((None, ""), ("mems", ", MEMS errors added"))
+        for length in (60.0, 120.0)
+    },
 )
 
 PROBLEM = Problem(

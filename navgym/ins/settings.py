@@ -25,7 +25,7 @@ class INSDropoutSettings(LaneSettings):
             reset. 6 kB per second of recording.
         recordings: replay these (`navgym.ins.recording.InertialRecording`) instead of simulating.
         decision_interval: filter steps per decision; 5 are one second.
-        reward: "relative", "absolute" or "likelihood".
+        reward: "relative", "absolute", "likelihood" or "position".
         warmup: s that the reference filter runs before the first decision.
     """
 
@@ -37,7 +37,7 @@ class INSDropoutSettings(LaneSettings):
 
     FILTER = "ins_kf"
     SPACE = spaces.KF
-    REWARDS = ("relative", "absolute", "likelihood")
+    REWARDS = ("relative", "absolute", "likelihood", "position")
     RECORDING = InertialRecording
     SCENARIO = InsScenario
     SEEN = (*LaneSettings.SEEN, "warmup")

@@ -27,7 +27,7 @@ FILL = Parameter(
     equation="what a lost velocity becomes: nothing, the last one, three of them extrapolated (QIVBF eq. 27)",
 )  # fmt: skip
 FILL_VARIANCE = Parameter(
-    "fill_variance", "R_f", "m²/s²", 0.01, 10.0, "log", 0.3, widest=(1e-6, 100.0),
+    "fill_variance", "R_f", "m²/s²", 0.01, 1000.0, "log", 0.3, widest=(1e-6, 1000.0),
     equation="variance of what stands in (QIVBF eq. 28: Σl² times it where three are extrapolated)",
 )  # fmt: skip
 FILL_GROWTH = Parameter(

@@ -166,6 +166,7 @@ def test_everybody_runs_on_every_kind_of_recordings(bench):
     assert {RANDOM, DEFAULT, BEST_FIXED, "p"} <= set(ladder)
     bounds = [r.label for r in contest.rivals if r.bound]
     assert ladder[-len(bounds) :] == bounds
+    assert all(result.main[seer.label].bound for seer in contest.seers)
     assert list(result.comparisons) == list(contest.quantities)
     assert result.main[contest.plain].score == 0.0
     shifts = {r.condition.name for r in bench.shifts(result.condition.name)}

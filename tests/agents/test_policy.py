@@ -12,8 +12,9 @@ import pytest
 
 import navgym
 from navgym import agents
+from navgym.agents.live import command as stream
 from navgym.agents.policies.manifest import Manifest
-from navgym.agents.policies.policy import Normalisation, Policy
+from navgym.agents.policies.policy import Normalisation, Policy, located
 from navgym.auv.engine import Engine
 from navgym.auv.settings import AUVDropoutSettings
 from navgym.envs.base import INFORMATION
@@ -388,3 +389,14 @@ def test_a_shipped_policy_fits_todays_environment(name, environment):
 def test_an_unknown_shipped_policy_is_refused():
     with pytest.raises(ValueError, match="Did you mean 'auv'"):
         agents.shipped("auvv")
+
+
+def test_a_problem_that_no_policy_is_shipped_for_is_told_so():
+    """None that was trained on ins is better than the best fixed hold: docs/agents.md."""
+    for ask in (located, lambda name: stream.main([name])):
+        with pytest.raises(
+            FileNotFoundError, match=r"no policy for 'ins', only for auv, deck: train"
+        ):
+            ask("ins")
+    with pytest.raises(ValueError, match="no policy for 'ins'"):
+        agents.shipped("ins")
