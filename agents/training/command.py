@@ -12,7 +12,7 @@ import tyro
 from navgym.agents.training.configuration import Configuration, presets
 from navgym.command import as_typed
 from navgym.core.atomic import replacing
-from navgym.core.checks import positive_int
+from navgym.core.checks import one_of, positive_int
 from navgym.tuning.commands.parse import parse as parsed
 
 ABOUT = """Train a policy that sets a filter's parameters while it runs.
@@ -21,6 +21,9 @@ ABOUT = """Train a policy that sets a filter's parameters while it runs.
     navgym train deck --seed 1        another preset, and any option below
     navgym train runs/mine/config.toml --decisions 2000000
     navgym train auv --search 20      tune the agent's own hyper-parameters with Optuna
+    navgym train auv --log a.csv b.csv          a small policy for one's own vessel, from tuned parameters
+    navgym train --kind mixture --log a.csv b.csv    a mixture of fixed filters, in seconds: the better of the
+                                      two on real tracks; --kind mixture --help shows its options
 
 presets (give one as the first word; --help after it shows its values):
 {presets}
@@ -64,8 +67,27 @@ def parse(words: Sequence[str]) -> Command:
     return parsed(Command, "train [PRESET | FILE.toml]", about, rest, Command(base))
 
 
+KINDS = ("policy", "mixture")
+
+
+def kind_of(words: Sequence[str]) -> tuple[str, list[str]]:
+    """What is to be trained, as `--kind` says, and the other words; ValueError for an unknown kind."""
+    rest = list(words)
+    if "--kind" not in rest:
+        return KINDS[0], rest
+    at = rest.index("--kind")
+    told = rest[at + 1] if at + 1 < len(rest) else ""
+    del rest[at : at + 2]
+    return one_of("--kind", told, KINDS), rest
+
+
 def main(words: Sequence[str]) -> int:
     """Train, or search for a recipe; returns the exit status."""
+    kind, words = kind_of(words)
+    if kind == "mixture":
+        from navgym.agents.mixture import command as mixture
+
+        return mixture.main(words)
     command = parse(words)
     return _search(command) if command.search else _train(command, as_typed("train", words))
 
