@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 from navgym.agents.mixture.experts import Expert, around, known
 from navgym.agents.mixture.material import Lessons, lessons_of, material
 from navgym.agents.mixture.mixture import Mixture
-from navgym.agents.training.logs import EARLIER, WHOLE, Logs
+from navgym.agents.training.logs import EARLIER, WHOLE, Logs, judging
 from navgym.agents.training.reference import Start, found_start
 from navgym.agents.training.verdict import Verdict, compared, judged
 from navgym.core.atomic import writable_folder
@@ -86,24 +86,6 @@ class MixtureConfiguration:
         Raises ValueError for one that is also trained on, or of another problem.
         """
         return judging(self.logs, self.validation_log)
-
-
-def judging(logs: Logs, paths: tuple[Path, ...]) -> Logs | None:
-    """Validation logs read as `logs` are; None for none.
-
-    Raises ValueError for one of `logs` among them, and for one of another problem.
-    """
-    if not paths:
-        return None
-    both = {p.resolve() for p in paths} & {p.resolve() for p in logs.paths}
-    if both:
-        raise ValueError(
-            f"{min(both).name} is trained on and judges at once: name it in one of the two."
-        )
-    found = dataclasses.replace(logs, paths=paths)
-    if found.problem is not logs.problem:
-        raise ValueError(f"{logs.paths[0]} and {paths[0]} are logs of different problems.")
-    return found
 
 
 @dataclass(frozen=True, eq=False)

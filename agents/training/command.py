@@ -59,7 +59,10 @@ def parse(words: Sequence[str]) -> Command:
     rest = list(words)
     base = Configuration()
     if rest and not rest[0].startswith("-"):
-        base = _base(rest.pop(0))
+        word = rest.pop(0)
+        base = _base(f"{word}-logs" if "--log" in rest and f"{word}-logs" in presets() else word)
+    elif "--log" in rest:
+        base = _base("auv-logs")
     known = presets()
     width = max(map(len, known))
     listed = "\n".join(f"  {name.ljust(width)}  {text}" for name, (text, _) in known.items())
@@ -98,12 +101,15 @@ def _train(command: Command, typed: str) -> int:
     config = command.configuration
     print(f"training into {config.folder} (TensorBoard: tensorboard --logdir {config.folder})")
     made = train(config, command.fresh, command=typed)
+    against = "tuned parameters" if config.log else "best fixed parameters"
     for name, gains in made.best.scores["gains"].items():
         each = ", ".join(f"{quantity} {100 * gain:+.1f} %" for quantity, gain in gains.items())
-        print(f"{name} (validation, against best fixed parameters): {each}")
+        print(f"{name} (validation, against {against}): {each}")
     print(f"learning curve: {made.folder / 'training.html'}")
     if made.policy is not None:
-        print(f"next, on fresh seeds: navgym evaluate {made.folder / 'policy.npz'}")
+        where = " --log OTHER ..." if config.log else ""
+        what = "other logs" if config.log else "fresh seeds"
+        print(f"next, on {what}: navgym evaluate {made.folder / 'policy.npz'}{where}")
     return 0
 
 

@@ -137,6 +137,24 @@ def _marked(recording: Any, name: str) -> Any:
     return dataclasses.replace(recording, meta={**recording.meta, "log": name})
 
 
+def judging(logs: Logs, paths: tuple[Path, ...]) -> Logs | None:
+    """Validation logs read as `logs` are; None for none.
+
+    Raises ValueError for one of `logs` among them, and for one of another problem.
+    """
+    if not paths:
+        return None
+    both = {p.resolve() for p in paths} & {p.resolve() for p in logs.paths}
+    if both:
+        raise ValueError(
+            f"{min(both).name} is trained on and judges at once: name it in one of the two."
+        )
+    found = dataclasses.replace(logs, paths=paths)
+    if found.problem is not logs.problem:
+        raise ValueError(f"{logs.paths[0]} and {paths[0]} are logs of different problems.")
+    return found
+
+
 def earlier(recording: Any, share: float = EARLIER) -> Any:
     """The first rows of a recording, `share` of them.
 
