@@ -133,20 +133,20 @@ def _ladder(
     names = dict.fromkeys([*problem.plain[:1], problem.contest.default, *problem.study.beside])
     adapting = [r.filter for r in problem.contest.rivals if r.adapts]
     wanted = [n for n in names if n in (problem.plain[0], problem.contest.default) or n in adapting]
-    found: dict[str, Runner] = {n: _fixed(n, None) for n in wanted}
+    found: dict[str, Runner] = {n: of_fixed(n, None) for n in wanted}
     if combines(problem):
         found |= {label: _combined(c) for label, c in combiners.items()}
     for label, each in tuned.items():
-        found[label] = _fixed(each.filter, dict(each.parameters))
+        found[label] = of_fixed(each.filter, dict(each.parameters))
     base = {}
     for label, agent in agents.items():
         filter_name, values = started(agent)
         base[label] = own = TUNED.format(label)
-        found[own] = _fixed(filter_name, values)
+        found[own] = of_fixed(filter_name, values)
         if isinstance(agent, Mixture):
             found[label] = _mixed(agent)
             continue
-        found[label] = _steered(agent)
+        found[label] = of_policy(agent)
         if fallback:
             found[FALLBACK.format(label)] = _streamed(agent)
     return found, base
@@ -159,7 +159,8 @@ def started(agent: Agent) -> tuple[str, dict[str, Any]]:
     return agent.manifest.filter, dict(agent.manifest.reference)
 
 
-def _fixed(filter_name: str, values: Mapping[str, Any] | None) -> Runner:
+def of_fixed(filter_name: str, values: Mapping[str, Any] | None) -> Runner:
+    """A filter with fixed parameters."""
     return lambda cases: cases.problem.run(filter_name, cases.batch, values, everything=True)
 
 
@@ -171,7 +172,9 @@ def _mixed(mixture: Mixture) -> Runner:
     return lambda cases: mixture.run(cases.batch, everything=True)
 
 
-def _steered(policy: Any) -> Runner:
+def of_policy(policy: Any) -> Runner:
+    """A policy without its fallback."""
+
     def run(cases: Cases) -> Run:
         chooser = Learnt(policy)
         found = roll_out(chooser, cases.recordings)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
+from navgym.agents.combiner.combiner import combines
 from navgym.agents.mixture.experts import Expert, around, known
 from navgym.agents.mixture.material import Lessons, lessons_of, material
 from navgym.agents.mixture.mixture import Mixture
@@ -55,7 +56,7 @@ class MixtureConfiguration:
     """of noise and losses per log and rate of losses, where the format draws them"""
     decay: float = 0.001
     """of the squared weights"""
-    iterations: int = 100
+    iterations: int = 60
     """of the optimiser, at most"""
     seed: int = 0
     """of everything random"""
@@ -76,8 +77,14 @@ class MixtureConfiguration:
 
     @property
     def logs(self) -> Logs:
-        """What it is trained on; ValueError for none, or logs of different problems."""
-        return Logs(self.log, self.read, self.format)
+        """What it is trained on; ValueError for none, logs of different problems, or of one without a bank."""
+        found = Logs(self.log, self.read, self.format)
+        if not combines(found.problem):
+            raise ValueError(
+                f"{self.log[0].name} is a log of the {found.problem.title}, and a mixture is made of filters "
+                "for vehicles with position fixes: name logs of those."
+            )
+        return found
 
     @property
     def judges(self) -> Logs | None:

@@ -49,6 +49,8 @@ class Command:
         positive_int("search", self.search, least=0)
         if self.search and self.fresh:
             raise ValueError("--fresh is for a training; a search begins anew in another --out.")
+        if self.search and self.configuration.log:
+            raise ValueError("--search is for simulated recordings: leave it out with --log.")
 
 
 def parse(words: Sequence[str]) -> Command:

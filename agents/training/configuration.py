@@ -248,6 +248,10 @@ class Configuration:
             for name in ("validation_log", "read", "format", "start"):
                 if getattr(self, name):
                     raise ValueError(f"{name} is for trainings on logs: name them with --log.")
+        elif "recurrent" in self.algorithm:
+            raise ValueError(
+                "recurrent_ppo is for simulated recordings: use ppo, sac or tqc with --log."
+            )
         elif self.randomise or self.clone or self.overrides:
             raise ValueError(
                 "randomise, clone and overrides are for simulated recordings: leave them out with --log."
@@ -386,10 +390,11 @@ def _preset(problem: Problem, preset: Preset) -> Configuration:
 # ---- as documentation ----------------------------------------------------------------------
 
 
-def markdown() -> str:
-    """A table of every field, its default and its help, for the docs."""
+def markdown(kind: Any = None) -> str:
+    """A table of every field of a policy's training, or of another `kind`, with defaults and help."""
     lines = ["| field | default | meaning |", "|---|---|---|"]
-    lines += [f"| `{name}` | `{default}` | {text} |" for name, default, text in _every_row()]
+    rows = _every_row() if kind is None else _rows(kind)
+    lines += [f"| `{name}` | `{default}` | {text} |" for name, default, text in rows]
     return "\n".join(lines)
 
 

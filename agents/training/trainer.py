@@ -180,7 +180,10 @@ class Trainer:
         return {
             "command": self.command,
             "configuration": comparable(self.config),
-            "seeds": {"train": list(self.material.seeds), "validation": self.config.validation},
+            "seeds": {
+                "train": list(self.material.seeds),
+                "validation": self.config.draws if self.config.log else self.config.validation,
+            },
             "decisions": mark.decisions,
             "validation": dict(mark.scores),
             "versions": versions(),
