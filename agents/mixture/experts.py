@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navgym.core.checks import Array
 from navgym.problem import Problem
@@ -106,7 +107,7 @@ def meanings(structure: Structure) -> Array:
     return np.column_stack([where[modes.node], fast[modes.node], told])
 
 
-def kinds(problem: Problem, batch: StateSpaceBatch) -> Array:
+def kinds(problem: Problem, batch: StateSpaceBatch) -> NDArray[np.int64]:
     """(m,) 0 where a row is of a position fix, 1 where not; all 0 where none is.
 
     Raises ValueError for models that are not linear: no filter here is for them.

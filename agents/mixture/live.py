@@ -228,17 +228,20 @@ class LiveExpert(LinearIntake):
     @property
     def state(self) -> Array:
         """(n,)."""
-        return self._found[0][0, 0]
+        found: Array = self._found[0][0, 0]
+        return found
 
     @property
     def covariance(self) -> Array:
         """(n, n)."""
-        return self._found[1][0, 0]
+        found: Array = self._found[1][0, 0]
+        return found
 
     @property
     def innovation(self) -> Array:
         """(m,)."""
-        return self._found[2][0, 0]
+        found: Array = self._found[2][0, 0]
+        return found
 
     @property
     def nis(self) -> float:

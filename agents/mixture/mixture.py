@@ -124,13 +124,13 @@ class Mixture(Frozen):
         weights, before, features, reasons = self.weigh(seen, fallback)
         states = blended(weights, seen.states)
         ended = np.arange(batch.steps) >= batch.lengths[:, None]
-        lost = ~np.isfinite(states).all(axis=-1) & ~ended
+        failed: NDArray[np.bool_] = np.any(~np.isfinite(states).all(axis=-1) & ~ended, axis=1)
         covariances, extras = np.empty((len(batch), 0, 0, 0)), {}
         if everything:
             covariances = spread(weights, states, seen.states, [r.covariances for r in runs])
             extras = {"weights": weights, "features": features, "reasons": reasons}
         return Run(
-            states, lost.any(axis=1), covariances,
+            states, failed, covariances,
             blended(before, seen.innovations),
             blended(before, np.stack([r.nis for r in runs], axis=2)[..., None])[..., 0],
             mixed_likelihood(before, np.stack([r.log_likelihood for r in runs], axis=2)),
@@ -144,9 +144,9 @@ class Mixture(Frozen):
         features = np.empty((count, steps, len(self.shift)))
         reasons = np.zeros((count, steps), dtype=np.int64)
         kept = kernels.memory(count, experts, seen.lost.shape[2])
-        kernels.weigh(
-            *seen.arguments, *self.network, fallback, *kept, before, features, weights, reasons
-        )
+        told: list[Any] = [*seen.arguments, *self.network, fallback, *kept]
+        told += [before, features, weights, reasons]
+        kernels.weigh(*told)  # type: ignore[no-untyped-call]
         return weights, before, features, reasons
 
     @property
@@ -185,7 +185,8 @@ class Mixture(Frozen):
         try:
             experts = tuple(Expert(e["filter"], dict(e["parameters"])) for e in header["experts"])
             _same(header, experts)
-            return cls(experts, *(arrays[n] for n in ARRAYS), training=dict(header["training"]))
+            own = {n: arrays[n] for n in ARRAYS}
+            return cls(experts, **own, training=dict(header["training"]))
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{file}: {error}") from error
 
@@ -239,6 +240,7 @@ def watched(experts: Sequence[Expert], batch: StateSpaceBatch) -> tuple[list[Run
     """Run every expert over a batch."""
     problem = problem_of(batch.recordings[0])
     kind = kinds(problem, batch)
+    finite: NDArray[np.bool_]
     runs = [problem.run(e.filter, batch, dict(e.parameters), everything=True) for e in experts]
     told = np.zeros((len(batch), batch.steps, kernels.TOLD))
     for expert, run in zip(experts, runs, strict=True):
@@ -246,9 +248,10 @@ def watched(experts: Sequence[Expert], batch: StateSpaceBatch) -> tuple[list[Run
             told = np.nan_to_num(run.extras["weights"]) @ meanings(Structure.of(batch))
     states = np.stack([r.states for r in runs], axis=2)
     root = np.sqrt(np.diagonal(batch.models["R"], axis1=2, axis2=3))
+    finite = np.all(np.isfinite(states), axis=-1)
     seen = Seen(
         states, np.stack([r.innovations for r in runs], axis=2), runs[0].nis, batch.lost,
-        np.ascontiguousarray(root), kind, told, np.isfinite(states).all(axis=-1),
+        np.ascontiguousarray(root), kind, told, finite,
     )  # fmt: skip
     return runs, seen
 

@@ -55,12 +55,12 @@ class Retuned:
         return self.settings[int(self.which[i])]
 
 
-SPREAD = 127  # settings from all over the filter's space
+def settings_around(tuned: Expert, spread: int = 0) -> tuple[Expert, ...]:
+    """The table: the tuned filter first, its process noise and memory varied, the bank last.
 
-
-def settings_around(tuned: Expert, spread: int = SPREAD) -> tuple[Expert, ...]:
-    """The table: the tuned filter first, its process noise and memory varied, others from all over its
-    space, the bank last.
+    Args:
+        tuned: around whom.
+        spread: so many further settings from all over the filter's space.
     """
     space, values = CATALOGUE[tuned.filter].space, dict(tuned.parameters)
     axes = [(n, f) for n, f in ((PROCESS, PROCESS_FACTORS), (TAU, TAU_FACTORS)) if n in space.names]
@@ -84,7 +84,8 @@ def _times(parameter: Any, values: Any, factor: float) -> float:
 
 def chosen(fixes: Array) -> NDArray[np.int64]:
     """(N,) number of the setting with the least error of the fixes (S, N); the first where none is known."""
-    return np.where(np.isfinite(fixes), fixes, np.inf).argmin(axis=0)
+    found: NDArray[np.int64] = np.where(np.isfinite(fixes), fixes, np.inf).argmin(axis=0)
+    return found
 
 
 def retuned(cases: Cases, settings: Sequence[Expert]) -> Retuned:

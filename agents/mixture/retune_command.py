@@ -26,8 +26,7 @@ ABOUT = """Let each recording's own position fixes choose among a table of setti
     navgym retune monday.csv --start runs/tune/tuned.toml
     navgym retune monday.csv tuesday.csv --read position_noise 1.5 --out runs/retuned
 
-The table: the tuned setting, its process noise and memory varied, settings from all over the filter's space,
-and the bank. What is chosen has the least one-step error of the fixes on the whole recording, so it is for that
+The table: the tuned setting, its process noise and memory varied, and the bank. What is chosen has the least one-step error of the fixes on the whole recording, so it is for that
 recording, estimated again: not for the next one, and not live. Where the log holds the truth the gain against
 it is shown. Writes NAME.toml for each log to --out, which navgym.estimate reads.
 """

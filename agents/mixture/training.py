@@ -201,8 +201,8 @@ def fitted(experts: Sequence[Expert], lessons: Lessons, config: MixtureConfigura
     z = np.clip((lessons.features - shift) * gain, -kernels.CLIP, kernels.CLIP)
     loss = _Loss(z, lessons, config.decay)
     begin = np.zeros((z.shape[1] + 1, len(experts)))
-    limits = {"maxiter": config.iterations}
-    found = minimize(loss, begin.ravel(), jac=True, method="L-BFGS-B", options=limits)
+    limits: Any = {"maxiter": config.iterations}
+    found: Any = minimize(loss, begin.ravel(), jac=True, method="L-BFGS-B", options=limits)
     W = found.x.reshape(begin.shape)
     low, high = (f(lessons.features, axis=0).astype(np.float64) for f in (np.min, np.max))
     return Mixture(tuple(experts), shift, gain, low, high, W[:-1], W[-1])
@@ -220,7 +220,9 @@ class _Loss:
     def __call__(self, x: Array) -> tuple[float, Array]:
         W = x.reshape(self.facts[0].shape[1] + 1, -1)
         slope = np.empty_like(W)
-        total = kernels.learn(*self.facts, W[:-1], W[-1], slope[:-1], slope[-1])
+        total = kernels.learn(  # type: ignore[no-untyped-call]
+            *self.facts, W[:-1], W[-1], slope[:-1], slope[-1]
+        )
         slope[:-1] += 2.0 * self.decay * W[:-1]
         return float(total) + self.decay * float((W[:-1] ** 2).sum()), slope.ravel()
 
@@ -258,7 +260,7 @@ def _pair(
     mixture: Mixture, logs: Logs, config: MixtureConfiguration, span: tuple[float, float]
 ) -> list[Mapping[str, float]]:
     """Gains over the tuned filter by rate of losses."""
-    found = []
+    found: list[Mapping[str, float]] = []
     for cases in logs.by_rate("validation", config.draws, span).values():
         reference = mixture.reference
         base = cases.problem.run(

@@ -137,7 +137,8 @@ class LiveBank(LinearIntake):
     @property
     def innovation(self) -> Array:
         """(m,) of the last sample, measurement minus its prediction; NaN where lost."""
-        return self._told[2][0, 0].copy()
+        found: Array = self._told[2][0, 0].copy()
+        return found
 
     def _filter(self) -> int:
         """Run the sample; returns the lane's flag."""

@@ -14,6 +14,7 @@ from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters import mixture as kernels
 from navgym.statespace.filters.modes import MODE_SETS, Modes, Structure
 from tests.agents.mixtures import FEATURES, TUNED, mixture, recording
+from tests.auv.test_live_bank import uneven
 
 
 def one_sided(favourite, **fields):
@@ -195,6 +196,22 @@ def test_live_it_answers_as_on_the_whole_recording():
         np.stack([e.weights for e in live]), whole.extras["weights"], atol=1e-9
     )
     assert [e.fallback for e in live] == [REASONS.get(int(r)) for r in whole.extras["reasons"]]
+
+
+@pytest.mark.parametrize("apart", [False, True])
+def test_live_at_uneven_times_and_where_components_are_lost_apart(apart):
+    log, model = uneven(apart=apart)
+    made = mixture(experts=(TUNED, Expert("kf", {"process_noise_scale": 5.0}), Expert(BANK)))
+    whole = made.estimate(log)
+    live = LiveMixture(made, model)
+    found = [(e.state, e.weights, live.restarts) for e in live.follow(log)]
+    kept = [
+        k for k, (_, _, restarts) in enumerate(found) if not restarts
+    ]  # no expert lost the track
+    assert len(kept) > 30
+    states, weights = (np.stack([found[k][i] for k in kept]) for i in (0, 1))
+    np.testing.assert_allclose(states, whole.states[kept], rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(weights, whole.extras["weights"][kept], atol=1e-7)
 
 
 def test_live_noise_scales_of_sensors_act():
