@@ -71,6 +71,10 @@ COMMANDS = {
         "navgym.agents.combiner.command:main",
         "train a network that weighs the modes of the bank", "agents", _TRAINING,
     ),
+    "retune": Command(
+        "navgym.agents.mixture.retune_command:main",
+        "which settings a recording's own fixes choose, afterwards", "tuning",
+    ),
     "evaluate": Command(
         "navgym.agents.evaluation.command:main",
         "what a policy is worth, beside every simpler way", "tuning", "stopped: nothing was written",

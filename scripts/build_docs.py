@@ -15,6 +15,7 @@ from typing import Any
 
 import gymnasium
 
+from navgym.agents.mixture.training import MixtureConfiguration
 from navgym.agents.training.configuration import markdown as configuration_table
 from navgym.envs.settings import LaneSettings, argument_texts, signature
 from navgym.problem import Filter, Problem, environments, problems
@@ -134,7 +135,9 @@ def training_page() -> str:
         NOTE + "# Fields of a training\n\n"
         "`navgym train --help` shows the same as flags (`decisions` is `--decisions`, "
         "`recipe.gamma` is `--recipe.gamma`); `config.toml` beside each policy holds them, and can be "
-        f"given to the command again.\n\n{configuration_table()}\n"
+        f"given to the command again.\n\n{configuration_table()}\n\n"
+        "## Of a mixture\n\n`navgym train --kind mixture --help` shows the same.\n\n"
+        f"{configuration_table(MixtureConfiguration)}\n"
     )
 
 

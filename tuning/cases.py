@@ -322,6 +322,17 @@ class Cases:
         known = np.isfinite(squares)
         return np.where(known.any(axis=-1), np.where(known, squares, 0.0).sum(axis=-1), np.nan)
 
+    def foretold_errors(self, run: Run) -> Array:
+        """One-step error (N,) of what counts where no truth is known, of a run with everything in it."""
+        judged = self.problem.scoring.scored(self.batch, self.span)
+        return self._one_step(run, self.foretold.name, judged)
+
+    def true_errors(self, run: Run) -> Array:
+        """The error that counts (N,) of a run, against the truth."""
+        name = self.first_quantity
+        found: Array = self.problem.scoring.errors(self.batch, run.states, (name,), self.span)[name]
+        return found
+
     # ---- whether covariances tell the truth
 
     def consistency(

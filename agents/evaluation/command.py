@@ -21,12 +21,15 @@ from navgym.agents.evaluation.verdicts import (
     load,
     load_combiners,
 )
+from navgym.agents.policies.loading import load_agent
 from navgym.agents.policies.policy import located
+from navgym.agents.training.logs import Logs
 from navgym.command import as_typed
 from navgym.core.atomic import writable_folder
 from navgym.core.checks import positive_int
 from navgym.core.data import absent, base_folder
 from navgym.core.machine import cores
+from navgym.tuned import read_tuned
 from navgym.tuning.commands.parse import parse
 
 ABOUT = """Is a policy better than the simpler ways of choosing parameters, and where?
@@ -36,12 +39,18 @@ ABOUT = """Is a policy better than the simpler ways of choosing parameters, and 
     navgym evaluate runs/mine/policy.npz auv --runs 200
     navgym evaluate auv --scenario auv/switch-B
     navgym evaluate --quick                     a few recordings and conditions, for a first look
+    navgym evaluate runs/mix/mixture runs/mine/policy.npz --log other.csv --read position_noise 1.5
 
 Everybody runs on the same fresh recordings (test seeds): fixed parameters, rules, filters that need no
 parameters, bounds that know the truth, and the policies, alone and with their fallback. First the
 scenarios that a policy was trained on, as designed (also where its training drew conditions anew), then shifted ones, scenarios that it was not trained on,
 and real tracks, where the data are at hand. Prints the tables; writes report.html (open it
 in a browser) and results.json to --out. The same command gives the same numbers, times excepted.
+
+With --log everybody runs on your logs instead, policies and mixtures beside the parameters that each starts
+from and beside filters that need none: one-step error of the fixes, and, where the logs hold the truth, the
+error against it. A gain has an interval over logs where there are five or more. Name logs that nothing was
+tuned or trained on. Writes results.json.
 
 Exit status: 0 if every policy is better than the best fixed parameters in the conditions that it was
 trained for; 1 if one is not (an interval that touches 0 counts as not better); 2 for wrong input.
@@ -55,6 +64,17 @@ class Options:
     policies: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
     """files of policies (.npz), or auv and deck for those that navgym ships; both of these if none is
     named"""
+    log: tuple[Path, ...] = ()
+    """judge on these real logs instead"""
+    read: tuple[str, ...] = ()
+    """what the logs' reader is told: pairs of an option and its value, before them, if you like, a mapping
+    file"""
+    format: str | None = None
+    """of the logs; by default what they look like"""
+    draws: int = 10
+    """of noise and losses per log and rate of losses, where the logs' format draws them"""
+    tuned: tuple[Path, ...] = ()
+    """further tuned parameters to run beside on logs: files of navgym tune"""
     scenario: tuple[str, ...] = ()
     """judge on these instead of the scenarios that the policies were trained on"""
     combiner: tuple[Path, ...] = ()
@@ -78,6 +98,11 @@ class Options:
         if self.runs is not None:
             positive_int("runs", self.runs, least=2)
         positive_int("workers", self.processes)
+        positive_int("draws", self.draws)
+        if (self.read or self.format or self.tuned) and not self.log:
+            raise ValueError("--read, --format and --tuned are for logs: name them with --log.")
+        if self.log and self.scenario:
+            raise ValueError("give --log or --scenario, not both.")
         if self.data is not None and not self.data.is_dir():
             raise ValueError(f"--data must be a folder of real tracks: {self.data} is none.")
         writable_folder("--out", self.out)
@@ -102,7 +127,32 @@ class Options:
 def main(words: Sequence[str]) -> int:
     """Evaluate; returns the exit status."""
     options = parse(Options, "evaluate", ABOUT, words)
+    if options.log:
+        return on_logs(options, as_typed("evaluate", words))
     bad = failures(run(options, as_typed("evaluate", words)))
+    for sentence in bad:
+        print(f"NOT BETTER: {sentence}", file=sys.stderr)
+    return 1 if bad else 0
+
+
+def on_logs(options: Options, command: str) -> int:
+    """Evaluate on logs, print the ladder, write results.json; returns the exit status."""
+    from navgym.agents.evaluation import on_logs as ladder
+    from navgym.tuning.report import page as report
+
+    options.check()
+    logs = Logs(options.log, options.read, options.format)
+    paths = [located(p) for p in options.policies] or ladder.shipped_for(logs.problem)
+    agents = dict(zip(ladder.labelled(paths), map(load_agent, paths), strict=True))
+    combiners = load_combiners([located(p) for p in options.combiner])
+    tuned = {f"{p.parent.name}/{p.name}": read_tuned(p) for p in options.tuned}
+    found = ladder.contest(agents, logs, options.draws, combiners, options.fallback, tuned)
+    print(ladder.table(found))
+    basis = report.provenance(command, seeds={"noise and losses": "test"})
+    results = ladder.as_json(found) | {"provenance": basis}
+    path = report.write_json(options.out / "results.json", results)
+    print(f"\nresults: {path}")
+    bad = ladder.failures(found)
     for sentence in bad:
         print(f"NOT BETTER: {sentence}", file=sys.stderr)
     return 1 if bad else 0

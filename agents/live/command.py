@@ -9,7 +9,8 @@ from contextlib import closing
 from typing import Any, BinaryIO
 
 from navgym.agents.live.lines import LONGEST_LINE, Format, Noise, estimates
-from navgym.agents.policies.policy import Policy, located
+from navgym.agents.policies.loading import load_agent
+from navgym.agents.policies.policy import located
 from navgym.readers import ReaderOptions, words_after
 
 ABOUT = """Filter a log line by line, as it arrives, with parameters that a trained policy sets.
@@ -29,7 +30,8 @@ A line whose time jumps is left out; if the next one goes on from there, the clo
 filter begins anew. One measurement far off is an outlier; five that agree are where the vehicle is.
 
 POLICY is auv, which comes with navgym, or what `navgym train` wrote (policy.npz and policy.json)
-for navgym/AUVDropout-v0. Neither torch nor any extra of navgym is needed.
+for navgym/AUVDropout-v0, or a mixture (mixture.npz and mixture.json): there the tuned filter takes the place
+of the best fixed parameters. Neither torch nor any extra of navgym is needed.
 """
 # reader options that make sense for a stream: of the model's noise by what they are called here
 OPTIONS = {"position_noise": "position", "velocity_noise": "velocity", "acceleration": "acceleration"}  # fmt: skip
@@ -62,7 +64,7 @@ def main(words: Sequence[str]) -> int:
     """Filter standard input; returns the exit status."""
     options = parse(words)
     noise, form = _told(options)
-    policy = Policy.load(located(options.policy))
+    policy = load_agent(located(options.policy))
     found = estimates(text_lines(sys.stdin.buffer), policy, noise, say, form)
     with closing(found):
         for line in found:

@@ -15,8 +15,11 @@ from numpy.typing import NDArray
 from navgym.agents.live.clock import Clock
 from navgym.agents.live.notices import Notices
 from navgym.agents.live.streaming import SelfTuningFilter, Steering
+from navgym.agents.mixture.live import LiveMixture
+from navgym.agents.mixture.mixture import Mixture
 from navgym.auv.fields import ANNOTATIONS, GEOGRAPHIC, assign
 from navgym.auv.geodesy import checked_origin, from_plane, to_plane
+from navgym.auv.intake import Model
 from navgym.auv.log import STATES
 from navgym.auv.settings import AUVDropoutSettings
 from navgym.core.checks import Array, within
@@ -85,7 +88,7 @@ class Format:
 
 def estimates(
     lines: Iterable[str],
-    policy: Steering,
+    policy: Steering | Mixture,
     noise: Noise,
     notice: Callable[[str], None],
     form: Format = Format(),
@@ -98,7 +101,7 @@ def estimates(
 
     Args:
         lines: header first.
-        policy: of the problem that reads such logs.
+        policy: of the problem that reads such logs; or a mixture of fixed filters.
         noise: what the model believes.
         notice: told of lines left out, of fall-backs and of restarts; of the same, not for ever.
         form: how the lines are written.
@@ -106,7 +109,7 @@ def estimates(
     Raises:
         ValueError: a header without time or measurements; a policy of another filter.
     """
-    SelfTuningFilter(FILTER, policy, LinearModel())  # says what is wrong with the policy
+    _live(policy, LinearModel(), 1.0)  # says what is wrong with the policy
     rows = ((number, line) for number, line in enumerate(lines, start=1) if line.strip())
     told = Notices(notice)
     header = _Header.of(next(rows, (0, ""))[1], form, told)
@@ -123,12 +126,14 @@ class _Log:
         policy, noise, told: as `estimates` has them.
     """
 
-    def __init__(self, header: _Header, policy: Steering, noise: Noise, told: Notices) -> None:
+    def __init__(
+        self, header: _Header, policy: Steering | Mixture, noise: Noise, told: Notices
+    ) -> None:
         self.header, self.policy, self.noise, self.told = header, policy, noise, told
         self.clock, self.plane = Clock(noise.step), _Plane()
         self.heard = np.zeros(len(header.measured), dtype=np.bool_)  # at the time of the last line
         self.late = Decimal(0)  # s that it has been put off by
-        self.tuned: SelfTuningFilter | None = None
+        self.tuned: SelfTuningFilter | LiveMixture | None = None
         self.reason: str | None = None
 
     def answers(self, rows: Iterable[tuple[int, str]]) -> Iterator[str]:
@@ -314,8 +319,8 @@ def _number(cell: str) -> float:
 
 
 def _started(
-    y: Array, measured: Sequence[str], policy: Steering, noise: Noise
-) -> SelfTuningFilter | None:
+    y: Array, measured: Sequence[str], policy: Steering | Mixture, noise: Noise
+) -> SelfTuningFilter | LiveMixture | None:
     """The filter, started by a line's position (and velocity); None where a position is missing."""
     known = dict(zip(measured, y.tolist(), strict=True))
     if any(math.isnan(known.get(name, 0.0)) for name in ("px", "py")):
@@ -331,7 +336,14 @@ def _started(
         Q = LinearModel.white_acceleration(step, noise.acceleration).Q
         return LinearModel(dt=step, H=H, Q=Q, R=R, x0=x0, P0=P0)
 
-    return SelfTuningFilter(FILTER, policy, model, interval=noise.step)
+    return _live(policy, model, noise.step)
+
+
+def _live(policy: Steering | Mixture, model: Model, step: float) -> SelfTuningFilter | LiveMixture:
+    """What filters live data as `policy` says."""
+    if isinstance(policy, Mixture):
+        return LiveMixture(policy, model, interval=step)
+    return SelfTuningFilter(FILTER, policy, model, interval=step)
 
 
 def _start(p: float | None, v: float | None, noise: Noise) -> tuple[Array, NDArray[np.float64]]:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navgym.agents.policies import portable
 from navgym.agents.policies.manifest import Manifest
-from navgym.core.checks import Array, one_of, real_array, shaped
+from navgym.core.checks import Array, one_of, real_array, shaped, within
 from navgym.envs.actions import LIMIT, action_table, fill_rows
 from navgym.problem import PROBLEMS
 
@@ -64,6 +64,7 @@ class Policy:
         high: (n,) largest one.
         activation: between layers, "tanh" or "relu".
         squash: whether a tanh follows the last layer; else its output is clipped.
+        reach: what actions are multiplied by then: the largest that it takes.
 
     Raises:
         ValueError: for shapes that do not fit the manifest, or weights that are no numbers.
@@ -78,7 +79,9 @@ class Policy:
         high: ArrayLike | None = None,
         activation: str = "tanh",
         squash: bool = False,
+        reach: float = 1.0,
     ) -> None:
+        self.reach = np.float32(within("reach", reach, 0.0, 1.0))
         self.manifest = manifest
         self.activation = one_of("activation", activation, ACTIVATIONS)
         self.squash = bool(squash)
@@ -124,6 +127,7 @@ class Policy:
             np.tanh(x, out=x)
         np.maximum(x, _MINUS, out=x)
         action: Single = np.minimum(x, _ONE, out=x)
+        action *= self.reach
         return action
 
     def _activate(self, x: Single) -> None:
@@ -198,6 +202,7 @@ class Policy:
             arrays["high"],
             shape["activation"],
             shape["squash"],
+            shape.get("reach", 1.0),
         )
 
     def parts(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -216,7 +221,7 @@ class Policy:
             "squash": self.squash,
             "clip": self.normalisation.clip,
             "epsilon": self.normalisation.epsilon,
-        }
+        } | ({} if self.reach == 1.0 else {"reach": float(self.reach)})
         return {"architecture": architecture} | dataclasses.asdict(self.manifest), arrays
 
     # ---- from Stable-Baselines3 ----------------------------------------------------------------
@@ -229,6 +234,8 @@ class Policy:
         manifest: Manifest,
         low: ArrayLike | None = None,
         high: ArrayLike | None = None,
+        columns: Sequence[int] | None = None,
+        reach: float = 1.0,
     ) -> Policy:
         """What `model.predict(..., deterministic=True)` computes, as a `Policy`.
 
@@ -238,6 +245,8 @@ class Policy:
             manifest: what to write beside it.
             low: (n,) smallest raw observation seen in validation.
             high: (n,) largest one.
+            columns: of the observation, that the model reads; all by default. The policy takes whole ones.
+            reach: what the environment multiplied the model's actions by.
 
         Raises:
             ValueError: a network that is more than dense layers.
@@ -249,7 +258,40 @@ class Policy:
             chosen = Normalisation(
                 rms.mean, rms.var, float(normalisation.clip_obs), float(normalisation.epsilon)
             )
-        return cls(manifest, layers, chosen, low, high, activation, squash)
+        if columns is not None:
+            n = len(manifest.observation_names)
+            layers = [(widened(layers[0][0], columns, n), layers[0][1]), *layers[1:]]
+            if chosen is not None:
+                mean, variance = (
+                    widened(a[None], columns, n, fill)[0]
+                    for a, fill in ((chosen.mean, 0.0), (chosen.variance, 1.0))
+                )
+                chosen = dataclasses.replace(chosen, mean=mean, variance=variance)
+        return cls(manifest, layers, chosen, low, high, activation, squash, reach)
+
+    def with_training(self, **facts: Any) -> Policy:
+        """The same policy, whose manifest says more of its training."""
+        training = {**self.manifest.training, **facts}
+        return self._again(self.layers, dataclasses.replace(self.manifest, training=training))
+
+    def silent(self) -> Policy:
+        """The policy that always leaves the reference in force: what is written where a guard said no."""
+        *before, (weights, bias) = self.layers
+        return self._again([*before, (weights * 0.0, bias * 0.0)], self.manifest)
+
+    def _again(self, layers: Sequence[tuple[ArrayLike, ArrayLike]], manifest: Manifest) -> Policy:
+        return Policy(
+            manifest, layers, self.normalisation, self.low, self.high, self.activation, self.squash,
+            float(self.reach),
+        )  # fmt: skip
+
+
+def widened(weights: ArrayLike, columns: Sequence[int], n: int, fill: float = 0.0) -> Array:
+    """Weights (out, k) of some `columns` as weights (out, n) of all."""
+    given = np.asarray(weights, dtype=np.float64)
+    found = np.full((len(given), n), fill)
+    found[:, list(columns)] = given
+    return found
 
 
 def dense_layers(model: BaseAlgorithm) -> tuple[list[tuple[Array, Array]], str, bool]:

@@ -12,7 +12,7 @@ import tyro
 from navgym.agents.training.configuration import Configuration, presets
 from navgym.command import as_typed
 from navgym.core.atomic import replacing
-from navgym.core.checks import positive_int
+from navgym.core.checks import one_of, positive_int
 from navgym.tuning.commands.parse import parse as parsed
 
 ABOUT = """Train a policy that sets a filter's parameters while it runs.
@@ -21,6 +21,9 @@ ABOUT = """Train a policy that sets a filter's parameters while it runs.
     navgym train deck --seed 1        another preset, and any option below
     navgym train runs/mine/config.toml --decisions 2000000
     navgym train auv --search 20      tune the agent's own hyper-parameters with Optuna
+    navgym train auv --log a.csv b.csv          a small policy for one's own vessel, from tuned parameters
+    navgym train --kind mixture --log a.csv b.csv    a mixture of fixed filters, in seconds: the better of the
+                                      two on real tracks; --kind mixture --help shows its options
 
 presets (give one as the first word; --help after it shows its values):
 {presets}
@@ -46,6 +49,8 @@ class Command:
         positive_int("search", self.search, least=0)
         if self.search and self.fresh:
             raise ValueError("--fresh is for a training; a search begins anew in another --out.")
+        if self.search and self.configuration.log:
+            raise ValueError("--search is for simulated recordings: leave it out with --log.")
 
 
 def parse(words: Sequence[str]) -> Command:
@@ -56,7 +61,10 @@ def parse(words: Sequence[str]) -> Command:
     rest = list(words)
     base = Configuration()
     if rest and not rest[0].startswith("-"):
-        base = _base(rest.pop(0))
+        word = rest.pop(0)
+        base = _base(f"{word}-logs" if "--log" in rest and f"{word}-logs" in presets() else word)
+    elif "--log" in rest:
+        base = _base("auv-logs")
     known = presets()
     width = max(map(len, known))
     listed = "\n".join(f"  {name.ljust(width)}  {text}" for name, (text, _) in known.items())
@@ -64,8 +72,27 @@ def parse(words: Sequence[str]) -> Command:
     return parsed(Command, "train [PRESET | FILE.toml]", about, rest, Command(base))
 
 
+KINDS = ("policy", "mixture")
+
+
+def kind_of(words: Sequence[str]) -> tuple[str, list[str]]:
+    """What is to be trained, as `--kind` says, and the other words; ValueError for an unknown kind."""
+    rest = list(words)
+    if "--kind" not in rest:
+        return KINDS[0], rest
+    at = rest.index("--kind")
+    told = rest[at + 1] if at + 1 < len(rest) else ""
+    del rest[at : at + 2]
+    return one_of("--kind", told, KINDS), rest
+
+
 def main(words: Sequence[str]) -> int:
     """Train, or search for a recipe; returns the exit status."""
+    kind, words = kind_of(words)
+    if kind == "mixture":
+        from navgym.agents.mixture import command as mixture
+
+        return mixture.main(words)
     command = parse(words)
     return _search(command) if command.search else _train(command, as_typed("train", words))
 
@@ -76,12 +103,15 @@ def _train(command: Command, typed: str) -> int:
     config = command.configuration
     print(f"training into {config.folder} (TensorBoard: tensorboard --logdir {config.folder})")
     made = train(config, command.fresh, command=typed)
+    against = "tuned parameters" if config.log else "best fixed parameters"
     for name, gains in made.best.scores["gains"].items():
         each = ", ".join(f"{quantity} {100 * gain:+.1f} %" for quantity, gain in gains.items())
-        print(f"{name} (validation, against best fixed parameters): {each}")
+        print(f"{name} (validation, against {against}): {each}")
     print(f"learning curve: {made.folder / 'training.html'}")
     if made.policy is not None:
-        print(f"next, on fresh seeds: navgym evaluate {made.folder / 'policy.npz'}")
+        where = " --log OTHER ..." if config.log else ""
+        what = "other logs" if config.log else "fresh seeds"
+        print(f"next, on {what}: navgym evaluate {made.folder / 'policy.npz'}{where}")
     return 0
 
 

@@ -19,10 +19,12 @@ from typing import Annotated, Any, Literal
 from tyro.constructors import PrimitiveConstructorSpec
 
 from navgym.agents.evaluation.rollout import problem_in
+from navgym.agents.training.logs import Logs, judging
 from navgym.core.checks import one_of, positive_int, within
 from navgym.core.storage import parse_json, read_toml
 from navgym.problem import Preset, Problem, environments, problems
 from navgym.simulation import find_scenario
+from navgym.tuned import read_tuned
 from navgym.tuning import declared
 
 
@@ -170,6 +172,26 @@ class Configuration:
     """of everything random"""
     threads: int = 1
     """of torch; on a busy machine one is quickest"""
+    observations: tuple[str, ...] = ()
+    """the only elements of the observation that the agent reads; all by default"""
+    reach: float = 1.0
+    """share of the parameters' ranges, around the reference, that the agent may use"""
+    log: tuple[Path, ...] = ()
+    """train on these real logs instead of on scenarios"""
+    validation_log: tuple[Path, ...] = ()
+    """logs that choose and judge the policy; without them the last 30 % of each log in time"""
+    read: tuple[str, ...] = ()
+    """what the logs' reader is told: pairs of an option and its value, before them a mapping file or none"""
+    format: str | None = None
+    """of the logs; by default what they look like"""
+    start: Path | None = None
+    """a tuned.toml to start from; by default the filter is tuned on the same logs with the same information"""
+    trials: int = 150
+    """of that tuning"""
+    truth: bool = True
+    """whether to learn from the truth where all logs have it; else from the likelihood, which teaches little"""
+    draws: int = 5
+    """of noise and losses per validation log and rate of losses, where the format draws them"""
     out: Path | None = None
     """folder for everything that is written; default: runs/train/SCENARIO-ALGORITHM-SEED"""
 
@@ -180,7 +202,9 @@ class Configuration:
             raise ValueError("scenarios must name at least one scenario, got none.")
         for name in self.scenarios:
             find_scenario(name, **dict(self.overrides))
-        for name in ("decision_interval", "decisions", "lanes", "pool", "interval", "threads"):
+        for name in (
+            "decision_interval", "decisions", "lanes", "pool", "interval", "threads", "trials", "draws",
+        ):  # fmt: skip
             positive_int(name, getattr(self, name))
         positive_int("validation", self.validation, least=2)
         positive_int("seed", self.seed, least=0)
@@ -208,14 +232,64 @@ class Configuration:
                 f"recipe.batch must be from 2 to lanes x recipe.steps = {decisions}, got "
                 f"{self.recipe.batch}: an update has no more decisions."
             )
+        self._check_logs()
         object.__setattr__(self, "ranges", declared.own(self.conditions))
         object.__setattr__(self, "out", None if self.out is None else Path(self.out))
+
+    def _check_logs(self) -> None:
+        """ValueError for what makes no sense with logs, without them, or with part of the observation."""
+        within("reach", self.reach, 0.0, 1.0, above=True)
+        narrow = bool(self.observations) or self.reach != 1.0
+        if narrow and (self.clone or "recurrent" in self.algorithm):
+            raise ValueError(
+                "observations and reach are for ppo, sac and tqc without cloning: leave them out, or clone."
+            )
+        if not self.log:
+            for name in ("validation_log", "read", "format", "start"):
+                if getattr(self, name):
+                    raise ValueError(f"{name} is for trainings on logs: name them with --log.")
+        elif "recurrent" in self.algorithm:
+            raise ValueError(
+                "recurrent_ppo is for simulated recordings: use ppo, sac or tqc with --log."
+            )
+        elif self.randomise or self.clone or self.overrides:
+            raise ValueError(
+                "randomise, clone and overrides are for simulated recordings: leave them out with --log."
+            )
+
+    @property
+    def filter(self) -> str:
+        """Whose parameters are set."""
+        found: str = problem_in(self.environment).environment.settings.FILTER
+        return found
+
+    @property
+    def logs(self) -> Logs:
+        """The logs that it trains on.
+
+        Raises ValueError for none, and for logs of another problem than the environment's.
+        """
+        found = Logs(self.log, self.read, self.format)
+        own = problem_in(self.environment)
+        if found.problem.name != own.name:
+            raise ValueError(
+                f"{self.log[0].name} is a log of the {found.problem.title}, and {self.environment} plays "
+                f"the {own.title}: name logs of that, or another preset."
+            )
+        return found
+
+    @property
+    def judges(self) -> Logs | None:
+        """The logs that choose and judge, where they are others; see `judging`."""
+        return judging(self.logs, self.validation_log)
 
     @property
     def folder(self) -> Path:
         """Where everything is written."""
         if self.out is not None:
             return self.out
+        if self.log:
+            return Path("runs/train") / f"logs-{self.algorithm}-{self.seed}"
         first = self.scenarios[0].replace("/", "-") + ("-randomised" if self.randomise else "")
         return Path("runs/train") / f"{first}-{self.algorithm}-{self.seed}"
 
@@ -233,7 +307,10 @@ class Configuration:
 
     @property
     def reference(self) -> dict[str, Any]:
-        """Best fixed parameters of the first scenario: what actions start from."""
+        """Best fixed parameters of the first scenario, or those tuned on the logs: what actions start from."""
+        if self.log:
+            assert self.start is not None
+            return dict(read_tuned(self.start).parameters)
         return dict(find_scenario(self.scenarios[0], **dict(self.overrides)).reference)
 
     def environment_arguments(self) -> dict[str, Any]:
@@ -313,10 +390,11 @@ def _preset(problem: Problem, preset: Preset) -> Configuration:
 # ---- as documentation ----------------------------------------------------------------------
 
 
-def markdown() -> str:
-    """A table of every field, its default and its help, for the docs."""
+def markdown(kind: Any = None) -> str:
+    """A table of every field of a policy's training, or of another `kind`, with defaults and help."""
     lines = ["| field | default | meaning |", "|---|---|---|"]
-    lines += [f"| `{name}` | `{default}` | {text} |" for name, default, text in _every_row()]
+    rows = _every_row() if kind is None else _rows(kind)
+    lines += [f"| `{name}` | `{default}` | {text} |" for name, default, text in rows]
     return "\n".join(lines)
 
 
@@ -357,5 +435,15 @@ def _helps(kind: Any) -> dict[str, str]:
 
 
 def comparable(config: Configuration) -> dict[str, Any]:
-    """The configuration without what does not change the result."""
-    return dataclasses.replace(config, out=None, memory=1.0).as_dict()
+    """The configuration without what does not change the result, and without folders' names."""
+    found = dataclasses.replace(config, out=None, memory=1.0).as_dict()
+    unused = ("observations", "reach", *_OF_LOGS)
+    plain = declared.as_dict(Configuration())
+    if not config.log:  # as it was before there were any
+        return {n: v for n, v in found.items() if n not in unused or v != plain.get(n)}
+    names = {n: [p.name for p in getattr(config, n)] for n in ("log", "validation_log")}
+    start = {} if config.start is None else {"start": read_tuned(config.start).parameters}
+    return found | names | start
+
+
+_OF_LOGS = ("log", "validation_log", "read", "format", "start", "trials", "truth", "draws")

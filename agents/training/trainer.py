@@ -20,6 +20,7 @@ from navgym.agents.training import checkpoints, learners
 from navgym.agents.training.checkpoints import Checkpoint
 from navgym.agents.training.configuration import Configuration, comparable
 from navgym.agents.training.learning_curve import write_curve
+from navgym.agents.training.log_validation import LogValidation
 from navgym.agents.training.material import material
 from navgym.agents.training.record import Best, Mark, versions
 from navgym.agents.training.validation import Scores, Validation, plain
@@ -42,7 +43,9 @@ class Trainer:
         began = time.perf_counter()
         self.material = material(config)
         self.env = self.material.env
-        self.validation = Validation(config)
+        self.validation: Validation | LogValidation = (
+            LogValidation(config) if config.log else Validation(config)
+        )
         self.normaliser: VecNormalize = learners.normalised(config, self.env)
         self.model: BaseAlgorithm = learners.learner(config, self.normaliser)
         self.env.seed(int(np.random.SeedSequence(config.seed).generate_state(1)[0]))
@@ -54,8 +57,8 @@ class Trainer:
         self._earlier = 0.0  # seconds of runs before an interruption
         self._began = time.perf_counter()
         self.report(
-            f"made {config.pool} training recordings ({self.material.gigabytes:.2f} GB) and "
-            f"{sum(a.engine.count for a in self.validation.arenas)} for validation in "
+            f"made {self.material.count} training recordings ({self.material.gigabytes:.2f} GB) and "
+            f"{self.validation.count} for validation in "
             f"{self._began - began:.0f} s"
         )
 
@@ -89,10 +92,12 @@ class Trainer:
         """Write what is known of the training; returns the best policy, its mark and all marks."""
         assert self.best is not None
         best, folder = self.best, self.config.folder
-        if best.policy is None:
+        policy = best.policy
+        if policy is None:
             self._write_model(best)
         else:  # again: the file may have been lost since
-            best.policy.save(folder / "policy")
+            policy = self._guarded(policy)
+            policy.save(folder / "policy")
         facts = {
             "best": best.mark.as_dict(),
             "history": [mark.as_dict() for mark in self.history],
@@ -103,7 +108,16 @@ class Trainer:
         with replacing(folder / "training.json", text=True) as file:
             file.write(json.dumps(facts, indent=1, ensure_ascii=False) + "\n")
         write_curve(folder / "training.html", self.config, self.history, best.mark)
-        return best.policy, best.mark, tuple(self.history)
+        return policy, best.mark, tuple(self.history)
+
+    def _guarded(self, policy: Policy) -> Policy:
+        """On logs, the policy if it foretells the fixes better than the tuned parameters, else those."""
+        if not isinstance(self.validation, LogValidation):
+            return policy
+        verdict = self.validation.verdict(policy)
+        self.report(str(verdict))
+        kept = policy if verdict.better else policy.silent()
+        return kept.with_training(guard=verdict.as_dict())
 
     def _write_model(self, best: Best) -> None:
         """Of a learner that remembers: its own file, and how it normalises observations."""
@@ -145,7 +159,10 @@ class Trainer:
         training = {} if mark is None else self._provenance(mark)
         low, high = (None, None) if scores is None else (scores.low, scores.high)
         manifest = Manifest.of(self.config.environment, self.env.engine, training)
-        return Policy.from_sb3(self.model, self.normaliser, manifest, low, high)
+        columns = self.material.columns
+        return Policy.from_sb3(
+            self.model, self.normaliser, manifest, low, high, columns, self.config.reach
+        )
 
     def _kept(self, mark: Mark, scores: Scores) -> Best:
         """The policy as it is; a portable one is written at once, so that there always is one."""
@@ -163,7 +180,10 @@ class Trainer:
         return {
             "command": self.command,
             "configuration": comparable(self.config),
-            "seeds": {"train": list(self.material.seeds), "validation": self.config.validation},
+            "seeds": {
+                "train": list(self.material.seeds),
+                "validation": self.config.draws if self.config.log else self.config.validation,
+            },
             "decisions": mark.decisions,
             "validation": dict(mark.scores),
             "versions": versions(),

@@ -160,6 +160,11 @@ class Validation:
             ]
             self.arenas.append(self._arena(RANDOMISED, made, config.reference))
 
+    @property
+    def count(self) -> int:
+        """Recordings."""
+        return sum(arena.engine.count for arena in self.arenas)
+
     def _arena(self, name: str, recordings: list[Any], best: Mapping[str, Any]) -> Arena:
         """An arena whose zero line is the scenario's own best fixed parameters.
 

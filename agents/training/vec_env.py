@@ -30,6 +30,8 @@ class LaneVecEnv(VecEnv):
             (filtered up to there with the reference parameters), so that lanes do not end together.
         information: whether each info holds every field of the single environment's. Making 128
             dictionaries of them takes longer than filtering; `latest` gives a field as an array.
+        columns: the only elements of the observation that are shown; all by default.
+        reach: what actions are multiplied by before they act.
     """
 
     render_mode = None
@@ -41,11 +43,17 @@ class LaneVecEnv(VecEnv):
         max_episode_steps: int | None = None,
         desynchronise: bool = False,
         information: bool = False,
+        columns: Sequence[int] | None = None,
+        reach: float = 1.0,
     ) -> None:
-        self.engine = engine
+        self.engine, self._reach = engine, np.float32(reach)
+        whole, actions = spaces_of(engine)
+        every = range(len(engine.observation_names))
+        self._columns = np.array(every if columns is None else columns, dtype=np.int64)
+        shown = gymnasium.spaces.Box(-engine.LIMIT, engine.LIMIT, self._columns.shape, np.float32)
         if max_episode_steps is not None:
             positive_int("max_episode_steps", max_episode_steps)
-        super().__init__(engine.count, *spaces_of(engine))
+        super().__init__(engine.count, whole if columns is None else shown, actions)
         self.desynchronise = desynchronise
         self.information = information
         self._limit = max_episode_steps
@@ -74,7 +82,11 @@ class LaneVecEnv(VecEnv):
         self._outcomes = self._actions = None
         self._reset_seeds()
         self._reset_options()
-        return self._observations.copy()
+        return self._shown()
+
+    def _shown(self) -> NDArray[np.float32]:
+        found: NDArray[np.float32] = self._observations[:, self._columns]
+        return found
 
     def _restart(self, i: int, **options: int) -> None:
         self._observations[i] = self.engine.restart(i, **options)
@@ -103,7 +115,10 @@ class LaneVecEnv(VecEnv):
         """
         if self._actions is None or not self._seeded:
             raise RuntimeError("call reset(), then step(actions).")
-        out = self.engine.step(self._actions, self._observations)
+        actions = (
+            self._actions if self._reach == 1.0 else self._reach * np.clip(self._actions, -1, 1)
+        )
+        out = self.engine.step(actions, self._observations)
         self._actions = None
         self._outcomes = out.copy()
         self._steps += 1
@@ -113,10 +128,10 @@ class LaneVecEnv(VecEnv):
             dones |= self._steps >= self._limit
         infos = self._infos(self._outcomes)
         for i in np.flatnonzero(dones).tolist():
-            infos[i]["terminal_observation"] = self._observations[i].copy()
+            infos[i]["terminal_observation"] = self._observations[i, self._columns]
             infos[i]["TimeLimit.truncated"] = not over[i]
             self._restart(i)
-        return self._observations.copy(), out[:, REWARD].astype(np.float32), dones, infos
+        return self._shown(), out[:, REWARD].astype(np.float32), dones, infos
 
     def _infos(self, out: NDArray[np.float64]) -> list[dict[str, Any]]:
         if not self.information:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from dataclasses import asdict
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -20,13 +22,14 @@ from navgym.inertial.earth import radii_of_curvature
 from navgym.statespace.models import LinearModel, step_of
 from navgym.statespace.recording import Recording
 
+KEPT = 16  # tracks that are kept for further draws of noise
 STREAM = 0xA1  # first word of an A-KIT recording's seed sequence; the AUV simulator's is 0xA0
 
 
 def read_akit(
     path: str | os.PathLike[str],
     *,
-    track: int = 1,
+    track: int | None = None,
     loss: Loss | float = 0.0,
     seed: int = 0,
     position_noise: float = 1.0,
@@ -47,8 +50,9 @@ def read_akit(
     between its samples at the DVL's instants, the DVL's velocity is moved to the reference point.
 
     Args:
-        path: the published Data folder, or any that holds DVL_trajectoryN.csv, GT_trajectoryN.csv.
-        track: N.
+        path: the published Data folder, or any that holds DVL_trajectoryN.csv, GT_trajectoryN.csv; or
+            one of these files, whose track it is.
+        track: N; 1 by default, or the file's.
         loss: a `navgym.auv.scenarios.Loss`, or the rate of independent losses.
         seed: of noise and losses; take it from `navgym.seeds`. Each has a stream of its own, so
             that another loss leaves the noise as it was.
@@ -72,7 +76,8 @@ def read_akit(
     within("position_noise", position_noise, 0.0, above=True)
     if not isinstance(align, bool):
         raise ValueError(f"align must be True or False, got {align!r}.")  # noqa: TRY004
-    reference, body = _akit_track(Path(path), positive_int("track", track))
+    folder, track = _told_track(Path(path), track)
+    reference, body = _akit_track(folder, track)
     found = align_reference(reference, reference.time, body) if align else None
     time, truth, dvl = _of_one_instant(reference, body, found)
     if model is None:
@@ -98,9 +103,27 @@ def read_akit(
     )
 
 
+def _told_track(path: Path, track: int | None) -> tuple[Path, int]:
+    """The folder and the track that are meant; ValueError for a file that is not of that track."""
+    named = re.fullmatch(r"(?:GT|DVL|IMU)_trajectory(\d+)\.csv", path.name)
+    if named is None or path.is_dir():
+        return path, positive_int("track", 1 if track is None else track)
+    own = int(named[1])
+    if track not in (None, own):
+        raise ValueError(f"{path.name} is of track {own}, got track={track}: leave track out.")
+    return path.parent, own
+
+
 def _akit_track(folder: Path, track: int) -> tuple[Reference, Array]:
     """The reference, and the DVL's body velocity (T, 3) at the same times of its own clock."""
-    reference, dvl = (read_table(_akit_file(folder, kind, track)) for kind in ("GT", "DVL"))
+    files = [_akit_file(folder, kind, track) for kind in ("GT", "DVL")]
+    return _read_track(*files, *((f.stat().st_mtime_ns, f.stat().st_size) for f in files))
+
+
+@lru_cache(maxsize=KEPT)
+def _read_track(truth: Path, sensor: Path, *_stamps: tuple[int, int]) -> tuple[Reference, Array]:
+    """The same of two files, which are read once for all draws of noise; changed ones are read again."""
+    reference, dvl = read_table(truth), read_table(sensor)
     time = reference.increasing("Time [s]")
     if len(time) < 2 or not np.array_equal(time, dvl.increasing("Time [s]")):
         raise ValueError(

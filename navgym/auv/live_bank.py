@@ -134,6 +134,12 @@ class LiveBank(LinearIntake):
             self.time, x, P, float(nis), self.parameters, None, failed > 0, weights
         )
 
+    @property
+    def innovation(self) -> Array:
+        """(m,) of the last sample, measurement minus its prediction; NaN where lost."""
+        found: Array = self._told[2][0, 0].copy()
+        return found
+
     def _filter(self) -> int:
         """Run the sample; returns the lane's flag."""
         _, _, _, _, _, y, missing, now, *_ = self._arguments

@@ -128,6 +128,11 @@ ENVIRONMENT = Environment(
     refuses=_refuses,
 )
 
+FEW = (
+    "filter.log_nis.0.8", "filter.log_nis.0.95", "filter.correlation.0.8", "filter.correlation.0.95",
+    "filter.power_position.0.95", "filter.power_velocity.0.8", "filter.power_velocity.0.95", "lost.0.95",
+    "since_received", "noise_position", "noise_velocity",
+)  # fmt: skip
 TRAINING = Training(
     ranges=AUVRanges,
     draw=draw,
@@ -137,6 +142,17 @@ TRAINING = Training(
         "auv-robust": Preset(
             "for any sea: conditions are drawn anew for each recording; what agents/pretrained holds",
             {"randomise": True, "reward": "relative", "pool": 1500, "decisions": 2_000_000},
+        ),
+        # few observations, few units, half the range: what carries over from some tracks to others
+        "auv-logs": Preset(
+            "for one's own vessel: what auv means with --log",
+            {
+                "observations": FEW,
+                "reach": 0.5,
+                "decisions": 200_000,
+                "interval": 20_000,
+                "recipe": {"hidden": (16, 16), "gamma": 0.5},
+            },
         ),
     },
 )

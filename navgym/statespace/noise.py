@@ -9,19 +9,20 @@ filter that believes R and Q has them, beside its own `measurement_noise_scale` 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from navgym.core.checks import Array
+from navgym.core.checks import Array, one_of
 from navgym.core.parameters import Parameter, ParameterSpace
 from navgym.statespace.filters.spaces import ANY_SCALE
 
 if TYPE_CHECKING:
     from navgym.problem import Filter
     from navgym.statespace.batch import StateSpaceBatch
+    from navgym.statespace.models import LinearModel
 
 
 def space(chosen: Filter, batch: StateSpaceBatch) -> ParameterSpace:
@@ -57,6 +58,22 @@ def believing(batch: StateSpaceBatch, scales: Array) -> StateSpaceBatch:
             root = np.sqrt(factors[:, [own.index(each) for each in names]])
             models[name] *= (root[:, :, None] * root[:, None, :])[:, None]
     return replace(batch, models=models)
+
+
+def scaled(model: LinearModel, scales: Mapping[str, float]) -> LinearModel:
+    """The model with its noise scaled by sensor and by axis, by the names of `space`.
+
+    Raises ValueError for a sensor or an axis that it does not have.
+    """
+    names = {f"{n}_noise_scale": ("R", n) for n in _several(model.sensors)}
+    names |= {f"{n}_process_scale": ("Q", n) for n in _several(model.axes)}
+    changed = {"R": model.R, "Q": model.Q}
+    for name, factor in scales.items():
+        which, own = names[one_of("noise scale", name, names)]
+        members = model.sensors if which == "R" else model.axes
+        root = np.sqrt(np.where(np.array(members) == own, factor, 1.0))
+        changed[which] = changed[which] * (root[:, None] * root)
+    return replace(model, **changed)
 
 
 def _several(names: Sequence[str]) -> list[str]:

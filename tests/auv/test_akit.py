@@ -8,6 +8,7 @@ import pytest
 import navgym
 from navgym.auv.scenarios import Loss
 from navgym.auv.simulation import draw_losses
+from navgym.readers import ReaderOptions
 from navgym.statespace.batch import StateSpaceBatch
 from tests.helpers import run
 
@@ -140,6 +141,27 @@ def test_a_model_of_positions_measures_positions(eastward):
 def test_the_published_folders_are_found(tmp_path):
     write_track(tmp_path / "Trajectory4", (1, 0, 0), (1, 0, 0), (0, 0, 0), number=4)
     assert navgym.read("akit", tmp_path, track=4).meta["track"] == 4
+
+
+@pytest.mark.parametrize("kind", ["GT", "DVL"])
+def test_a_tracks_file_is_a_log_of_its_own(tmp_path, kind):
+    for number in (1, 3):
+        write_track(tmp_path, (0, number, 0), (number, 0, 0), (0, 0, math.pi / 2), number=number)
+    file = tmp_path / f"{kind}_trajectory3.csv"
+    recording = navgym.read("akit", file)
+    assert recording.meta["track"] == 3
+    same = navgym.read("akit", tmp_path, track=3)
+    assert np.array_equal(recording.measurements, same.measurements)
+    assert ReaderOptions().format_of(tmp_path / "GT_trajectory3.csv") == "akit"
+    with pytest.raises(ValueError, match=r"trajectory3\.csv is of track 3, got track=1"):
+        navgym.read("akit", file, track=1)
+
+
+def test_a_track_that_has_changed_is_read_again(eastward):
+    before = navgym.read("akit", eastward)
+    write_track(eastward, (0, SPEED, 0), (2 * SPEED, 0, 0), (0, 0, math.pi / 2))
+    after = navgym.read("akit", eastward)
+    assert np.allclose(after.measurements[:, 3], 2 * before.measurements[:, 3])
 
 
 def spoil(folder, old, new, kind="GT"):

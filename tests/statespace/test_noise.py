@@ -7,6 +7,7 @@ import pytest
 
 import navgym
 from navgym.statespace.filters.catalogue import CATALOGUE
+from navgym.statespace.noise import scaled
 
 # the printed filter and the oracle take no noise scale of their own; the model's they believe all the same
 FILTERS = sorted(set(CATALOGUE) - {"oracle"})
@@ -118,3 +119,13 @@ def test_what_is_lost_needs_no_accuracy_whatever_fills_it(name, unknown):
         ).states
 
     assert np.array_equal(states(gone), states(R), equal_nan=True)
+
+
+def test_a_scaled_model_is_what_filters_believe_under_the_same_scales(recording):
+    scales = {"velocity_noise_scale": 7.0, "position_noise_scale": 0.5}
+    model = scaled(recording.model, scales)
+    same = navgym.Recording(recording.time, recording.measurements, recording.lost, model=model)
+    own = navgym.estimate("kf", recording, scales).states
+    assert np.array_equal(navgym.estimate("kf", same).states, own)
+    with pytest.raises(ValueError, match="unknown noise scale 'depth_noise_scale'"):
+        scaled(recording.model, {"depth_noise_scale": 2.0})
