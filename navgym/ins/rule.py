@@ -15,7 +15,7 @@ class TurnGate(HandRule):
 
     A vehicle that goes straight keeps its body velocity, one that turns does not. The variance grows with
     the time since the loss, and nothing stands in once the vehicle has turned by `LIMIT`. Its settings are
-    the best on 48 training missions each of ins/outage and ins/burst (docs/science/ins.md).
+    within 2 % of the best on 24 training missions each of ins/outage and ins/burst.
     """
 
     LIMIT = 30.0 / 90.0  # of the observation's unit, a quarter of a circle

@@ -285,9 +285,9 @@ def _held(variance: float, growth: float, **more: float) -> dict[str, Any]:
 
 
 def _catalogue() -> dict[str, InsScenario]:
-    # references: of outages and bursts the least error of position on 48 training missions, of a grid of
-    # imu_noise_scale (1, 3, 10), variance (.05 to 10) and growth (.01 to .3); of the others the least error of
-    # velocity on 16, of variance (.03 to 1) and growth (.003 to 1); rounded
+    # references: of outages and bursts the least error of position on training missions, of a grid of
+    # imu_noise_scale (1, 3, 10; 24 missions), variance (.05 to 10) and growth (.01 to .3; 48 missions); of the
+    # others the least error of velocity on 16, of variance (.03 to 1) and growth (.003 to 1); rounded
     long, bursts = _held(3.0, 0.03, imu_noise_scale=1.0), _held(0.1, 0.02, imu_noise_scale=1.0)
     short = _held(0.1, 0.003)
     members = [
