@@ -206,7 +206,7 @@ class TestHeadingThatNothingShows:
     @pytest.mark.parametrize(("grade", "fix_period"), [("mems", 5.0), ("navigation", 0.0)])
     def test_where_something_shows_it_the_error_is_as_large_as_said(self, grade, fix_period):
         e, sd = self.ended(grade, fix_period)
-        assert sd.max() < 2.0
+        assert sd.max() < 3.0
         assert np.mean((e / sd) ** 2) < 2.5  # 45 and 225
 
 
