@@ -85,8 +85,8 @@ class LaneVecEnv(VecEnv):
         return self._shown()
 
     def _shown(self) -> NDArray[np.float32]:
-        found: NDArray[np.float32] = self._observations[:, self._columns]
-        return found
+        # in rows, as a checkpoint keeps them: networks add up in another order otherwise
+        return np.ascontiguousarray(self._observations[:, self._columns])
 
     def _restart(self, i: int, **options: int) -> None:
         self._observations[i] = self.engine.restart(i, **options)

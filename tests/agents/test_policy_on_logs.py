@@ -96,6 +96,7 @@ def test_the_lanes_show_the_agent_its_columns_alone(logs, tmp_path):
     assert shown.shape == (8, 11)
     env.step_async(np.ones((8, 3)))
     shown, *_ = env.step_wait()
+    assert shown.flags.c_contiguous  # or a training that was stopped ends with other bits
     assert env.observation_space.shape == (11,)
     whole = env.counters()["observations"]
     assert np.array_equal(shown, whole[:, list(found.columns)])
