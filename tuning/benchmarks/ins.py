@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -56,11 +57,11 @@ def steps(rounds: int) -> list[Row]:
     full, hour = _batch(2, duration=600.0, **ALL), _batch(1, duration=HOUR, water_period=1.0)
     rows = []
     for name in PROBLEM.filters:
-        cost = _median(lambda n=name: PROBLEM.run(n, full), rounds) / int(full.lengths.sum())
+        cost = _median(partial(PROBLEM.run, name, full), rounds) / int(full.lengths.sum())
         wanted = "at most 5 µs" if name == "ins_kf" else "told"
         rows.append(Row(f"{name}, one .2 s step with all five sensors", wanted, f"{cost * 1e6:.2f} µs"))  # fmt: skip
     for name in ("ins_kf", "ins_bank"):
-        cost = _median(lambda n=name: PROBLEM.run(n, hour), rounds)
+        cost = _median(partial(PROBLEM.run, name, hour), rounds)
         rows.append(Row(f"{name}, an hour, sensors as they come", "at most 100 ms", f"{1e3 * cost:.0f} ms"))  # fmt: skip
     ready = _median(lambda: InsBatch.of(hour.recordings), rounds)
     made = _median(lambda: simulate_many("ins/nominal", [0], duration=HOUR), max(rounds // 2, 1))

@@ -86,7 +86,7 @@ class Matched:
     def _some(cases: Cases) -> tuple[dict[str, Array], dict[str, Array]]:
         batch = cases.batch
         run = PROBLEM.run("ins_kf", batch, {"imu_noise_scale": 1.0}, everything=True)
-        errors = PROBLEM.scoring.errors(batch, run.states, ("position", "heading"))
+        errors = PROBLEM.scoring.errors(batch, run.states, ("position", "heading"), (0.0, 1.0))
         judged = PROBLEM.scoring.scored(batch, (0.0, 1.0))
         truth = batch.truth[..., :9].copy()
         own = run.states[..., :9].copy()

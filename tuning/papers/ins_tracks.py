@@ -379,7 +379,7 @@ def _choices(
     for name in CHOSEN:
         costs = [sum(_one_step(d, name, s) for d in data) for s in SCALES]
         scales[name] = SCALES[int(np.argmin(costs))]
-    costs = [sum(np.mean([c for _, c in _reckoned(d, q)]) for d in data) for q in DENSITIES]
+    costs = [sum(float(np.mean([c for _, c in _reckoned(d, q)])) for d in data) for q in DENSITIES]
     return scales, DENSITIES[int(np.argmin(costs))]
 
 
