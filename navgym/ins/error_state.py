@@ -308,14 +308,15 @@ def turn_with(lane):
         P[AT.V, j] -= y * c - z * b
         P[AT.V + 1, j] -= z * a - x * c
         P[AT.V + 2, j] -= x * b - y * a
-    for i in range(STATES):
+    for i in range(AT.V, AT.V + 3):
         a, b, c = P[i, AT.PHI], P[i, AT.PHI + 1], P[i, AT.PHI + 2]
         P[i, AT.V] -= y * c - z * b
         P[i, AT.V + 1] -= z * a - x * c
         P[i, AT.V + 2] -= x * b - y * a
-    for i in range(3):  # rounding
-        for j in range(i):
-            P[AT.V + i, AT.V + j] = P[AT.V + j, AT.V + i]
+    for i in range(AT.V, AT.V + 3):
+        for j in range(STATES):
+            if j < AT.V or j > i:
+                P[j, i] = P[i, j]
 
 
 @part
