@@ -66,6 +66,24 @@ MEMORY = np.dtype(
 
 
 @part
+def blend(P, a, other, b, v, n):
+    """P ← a P + b other + a b v vᵀ, of the first n states."""
+    for i in range(n):
+        d = a * b * v[i]
+        for k in range(n):
+            P[i, k] = a * P[i, k] + b * other[i, k] + d * v[k]
+
+
+@part
+def begin_moments(P, w, other, v):
+    """P ← w (other + v vᵀ)."""
+    for i in range(v.shape[0]):
+        d = w * v[i]
+        for k in range(v.shape[0]):
+            P[i, k] = w * other[i, k] + d * v[k]
+
+
+@part
 def mix(lanes, count, stay):
     """Let every mode begin from what it may have come from; `forecast` is how likely it is then."""
     pool = lanes[count]
@@ -82,9 +100,7 @@ def mix(lanes, count, stay):
             lane.column[i] = lane.x[i] - pool.x[i]
         for i in range(n):
             lane.x[i] = pool.x[i] + a * lane.column[i]
-            d = a * b * lane.column[i]
-            for k in range(n):
-                lane.P[i, k] = a * lane.P[i, k] + b * pool.P[i, k] + d * lane.column[k]
+        blend(lane.P, a, pool.P, b, lane.column, n)
 
 
 @part
@@ -102,14 +118,10 @@ def pool_up(lanes, count):
         w = lane.chance
         for i in range(n):
             lane.column[i] = lane.x[i] - pool.x[i]
-        for i in range(n):
-            d = w * lane.column[i]
-            if j == 0:
-                for k in range(n):
-                    pool.P[i, k] = w * lane.P[i, k] + d * lane.column[k]
-            else:
-                for k in range(n):
-                    pool.P[i, k] += w * lane.P[i, k] + d * lane.column[k]
+        if j == 0:
+            begin_moments(pool.P, w, lane.P, lane.column)
+        else:
+            update.add_moments(pool.P, w, lane.P, lane.column)
 
 
 @part
@@ -161,8 +173,8 @@ def keep_prior(lane):
     for i in range(n):
         lane.x_sum[i] = 0.0
         for k in range(n):
-            lane.P_prior[i, k] = lane.P[i, k]
             lane.P_sum[i, k] = 0.0
+    update.copy(lane.P_prior, lane.P)
 
 
 @part
@@ -172,18 +184,15 @@ def add_branch(lane, w, last):
     for i in range(n):
         lane.column[i] = lane.x[i] - lane.x_prior[i]
     for i in range(n):
-        d = w * lane.column[i]
-        lane.x_sum[i] += d
-        for k in range(n):
-            lane.P_sum[i, k] += w * lane.P[i, k] + d * lane.column[k]
+        lane.x_sum[i] += w * lane.column[i]
+    update.add_moments(lane.P_sum, w, lane.P, lane.column)
     for i in range(n):
-        d = lane.x_sum[i]
-        lane.x[i] = lane.x_prior[i] + (d if last else 0.0)
-        for k in range(n):
-            if last:
-                lane.P[i, k] = lane.P_sum[i, k] - d * lane.x_sum[k]
-            else:
-                lane.P[i, k] = lane.P_prior[i, k]
+        lane.x[i] = lane.x_prior[i] + (lane.x_sum[i] if last else 0.0)
+    if last:
+        update.copy(lane.P, lane.P_sum)
+        update.take_off(lane.P, lane.x_sum, 1.0)
+    else:
+        update.copy(lane.P, lane.P_prior)
 
 
 @part

@@ -114,39 +114,58 @@ def hear(lane):
     return count
 
 
-# `project` and `spread` add up several sums at once, each in its own order: one alone would wait for
-# itself, and a column in memory for what was just written there (a fifth of a deck filter's step)
+# Loops over whole matrices are functions of arrays: in a lane's own fields, whose addresses it cannot
+# tell apart, the compiler takes one number at a time (a factor of three; the numbers are the same)
+
+
+@part
+def take_off(P, v, sign):
+    """P ← P − sign v vᵀ."""
+    for i in range(v.shape[0]):
+        a = sign * v[i]
+        for j in range(v.shape[0]):
+            P[i, j] -= a * v[j]
+
+
+@part
+def copy(P, other):
+    """P ← other."""
+    for i in range(P.shape[0]):
+        for j in range(P.shape[1]):
+            P[i, j] = other[i, j]
+
+
+@part
+def add_moments(P, w, other, v):
+    """P ← P + w (other + v vᵀ)."""
+    for i in range(v.shape[0]):
+        d = w * v[i]
+        for j in range(v.shape[0]):
+            P[i, j] += w * other[i, j] + d * v[j]
+
+
+@part
+def add_rows(column, P, H, index, count):
+    """column ← sum of `count` rows of P, by number in `index` and times H."""
+    for i in range(column.shape[0]):
+        column[i] = 0.0
+    for a in range(count):
+        h, row = H[a], P[index[a]]
+        for i in range(column.shape[0]):
+            column[i] += h * row[i]
 
 
 @part
 def project(lane, c):
     """column = P H_cᵀ for row c, and H_c P H_cᵀ, which is returned."""
-    P, total = lane.P, 0.0
-    n, w = P.shape[0], lane.touched[c]
-    for i in range(0, n - 7, 8):
-        s0, s1, s2, s3, s4, s5, s6, s7 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for a in range(w):
-            h, j = lane.H[c, a], lane.index[c, a]
-            s0 += h * P[j, i]
-            s1 += h * P[j, i + 1]
-            s2 += h * P[j, i + 2]
-            s3 += h * P[j, i + 3]
-            s4 += h * P[j, i + 4]
-            s5 += h * P[j, i + 5]
-            s6 += h * P[j, i + 6]
-            s7 += h * P[j, i + 7]
-        lane.column[i], lane.column[i + 1] = s0, s1
-        lane.column[i + 2], lane.column[i + 3] = s2, s3
-        lane.column[i + 4], lane.column[i + 5] = s4, s5
-        lane.column[i + 6], lane.column[i + 7] = s6, s7
-    for i in range(n - n % 8, n):
-        s = 0.0
-        for a in range(w):
-            s += lane.H[c, a] * P[lane.index[c, a], i]
-        lane.column[i] = s
-    for a in range(w):
+    add_rows(lane.column, lane.P, lane.H[c], lane.index[c], lane.touched[c])
+    total = 0.0
+    for a in range(lane.touched[c]):
         total += lane.H[c, a] * lane.column[lane.index[c, a]]
     return total
+
+
+# `spread` adds up several sums at once, each in its own order: one alone would wait for itself
 
 
 @part
@@ -301,10 +320,7 @@ def correct(lane, printed_covariance):
             lane.x[i] += lane.column[i] * e
         for i in range(n):
             lane.column[i] *= root
-        for i in range(n):
-            a = lane.column[i]
-            for j in range(n):
-                lane.P[i, j] -= a * lane.column[j]
+        take_off(lane.P, lane.column, 1.0)
 
 
 @part
@@ -362,10 +378,7 @@ def mixture(lane, chance):
         root, sign = math.sqrt(abs(shrink)), 1.0 if shrink > 0.0 else -1.0
         for i in range(n):
             lane.column[i] *= root
-        for i in range(n):
-            a = sign * lane.column[i]
-            for j in range(n):
-                lane.P[i, j] -= a * lane.column[j]
+        take_off(lane.P, lane.column, sign)
     lane.nis = nis if count > 0 else math.nan
     lane.log_likelihood = total if count > 0 else 0.0
 
