@@ -293,8 +293,7 @@ def keep_before(lane, memory):
     """Put aside where a mode begins a step."""
     for i in range(lane.x.shape[0]):
         memory.x_from[i] = lane.x[i]
-        for j in range(lane.x.shape[0]):
-            memory.P_from[i, j] = lane.P[i, j]
+    update.copy(memory.P_from, lane.P)
 
 
 @part
@@ -302,9 +301,8 @@ def keep_between(lane, memory):
     """And what it foretells."""
     for i in range(lane.x.shape[0]):
         memory.x_prior[i] = lane.x[i]
-        for j in range(lane.x.shape[0]):
-            memory.P_prior[i, j] = lane.P[i, j]
-            memory.crossed[i, j] = lane.crossed[i, j]
+    update.copy(memory.P_prior, lane.P)
+    update.copy(memory.crossed, lane.crossed)
 
 
 @part
@@ -317,8 +315,7 @@ def keep_after(lane, memory, kind):
             memory.B[i, a] = lane.B[i, a]
     for i in range(lane.x.shape[0]):
         memory.x[i] = lane.x[i]
-        for j in range(lane.x.shape[0]):
-            memory.P[i, j] = lane.P[i, j]
+    update.copy(memory.P, lane.P)
 
 
 @kernel

@@ -191,9 +191,7 @@ def predict(lane, model, tape, impulse, left):
         remember_rows(lane, model)
         alignment.move_rows(lane, model, tape)
         if again == 0:
-            for i in range(STATES):
-                for j in range(STATES):
-                    lane.crossed[i, j] = lane.P[i, j]
+            update.copy(lane.crossed, lane.P)
     alignment.add_sensor_noise(lane, model, tape)
     scale, still = lane.row[PROCESS], left * model.dt
     for a in range(3):

@@ -79,25 +79,58 @@ def remember_nothing(lanes: NDArray[Any]) -> None:
     lanes["count"] = lanes["sum"] = VB_START
 
 
+# Loops over whole matrices are functions of arrays, see `navgym.inertial.update`.
+
+
+@part
+def gather_three(G, P, H, index, touched):
+    """G ← H P of three rows, which touch few states."""
+    for i in range(G.shape[1]):
+        G[0, i], G[1, i], G[2, i] = 0.0, 0.0, 0.0
+    for t in range(touched):
+        h0, h1, h2, row = H[0, t], H[1, t], H[2, t], P[index[t]]
+        for i in range(G.shape[1]):
+            G[0, i] += h0 * row[i]
+            G[1, i] += h1 * row[i]
+            G[2, i] += h2 * row[i]
+
+
+@part
+def gather_one(G, P, H, index, touched):
+    """The same of one row; the other two are zero."""
+    for i in range(G.shape[1]):
+        G[0, i], G[1, i], G[2, i] = 0.0, 0.0, 0.0
+    for t in range(touched):
+        h, row = H[0, t], P[index[t]]
+        for i in range(G.shape[1]):
+            G[0, i] += h * row[i]
+
+
+@part
+def take_off_three(P, GW, G):
+    """P ← P − GWᵀ G of three rows."""
+    for i in range(P.shape[0]):
+        a, b, c = GW[0, i], GW[1, i], GW[2, i]
+        for j in range(P.shape[1]):
+            P[i, j] -= a * G[0, j] + b * G[1, j] + c * G[2, j]
+
+
+@part
+def take_off_one(P, GW, G):
+    """The same of one row."""
+    for i in range(P.shape[0]):
+        a = GW[0, i]
+        for j in range(P.shape[1]):
+            P[i, j] -= a * G[0, j]
+
+
 @part
 def project_block(lane):
     """G = H P and T = H P Hᵀ; rows that are not there are filled in."""
-    P, n = lane.P, lane.P.shape[0]
-    for c in range(ROWS):
-        for i in range(n):
-            lane.G[c, i] = 0.0
-    for t in range(lane.touched):
-        j = lane.index[t]
-        h0, h1, h2 = lane.H[0, t], lane.H[1, t], lane.H[2, t]
-        if lane.rows == ROWS:
-            for i in range(n):
-                p = P[j, i]
-                lane.G[0, i] += h0 * p
-                lane.G[1, i] += h1 * p
-                lane.G[2, i] += h2 * p
-        else:
-            for i in range(n):
-                lane.G[0, i] += h0 * P[j, i]
+    if lane.rows == ROWS:
+        gather_three(lane.G, lane.P, lane.H, lane.index, lane.touched)
+    else:
+        gather_one(lane.G, lane.P, lane.H, lane.index, lane.touched)
     for c in range(ROWS):
         for d in range(ROWS):
             lane.T[c, d] = 0.0
@@ -271,12 +304,7 @@ def apply_block(lane):
         else:
             for i in range(n):
                 lane.GW[c, i] = w0 * lane.G[0, i]
-    for i in range(n):
-        if m == ROWS:
-            g0, g1, g2 = lane.GW[0, i], lane.GW[1, i], lane.GW[2, i]
-            for j in range(n):
-                lane.P[i, j] -= g0 * lane.G[0, j] + g1 * lane.G[1, j] + g2 * lane.G[2, j]
-        else:
-            g0 = lane.GW[0, i]
-            for j in range(n):
-                lane.P[i, j] -= g0 * lane.G[0, j]
+    if m == ROWS:
+        take_off_three(lane.P, lane.GW, lane.G)
+    else:
+        take_off_one(lane.P, lane.GW, lane.G)

@@ -243,16 +243,15 @@ def transition(lane, tape, T, wn, we, wd, meridian, across):
 
 
 @part
-def spread_errors(lane, model, tape, scale):
-    """P ← Φ P Φᵀ + Q; `scale` multiplies the variances of the IMU's white noise."""
-    P, F, Y, T = lane.P, lane.Phi, lane.Y, model.T
+def carry(P, F, Y):
+    """P ← Φ P Φᵀ, a function of arrays: see `navgym.inertial.update`."""
     for i in range(MOVING):
         for j in range(STATES):
             Y[i, j] = 0.0
         for k in range(TOUCHING):
-            f = F[i, k]
+            f, row = F[i, k], P[k]
             for j in range(STATES):
-                Y[i, j] += f * P[k, j]
+                Y[i, j] += f * row[j]
     for i in range(MOVING):
         for j in range(i + 1):
             s = 0.0
@@ -263,6 +262,13 @@ def spread_errors(lane, model, tape, scale):
         for j in range(MOVING, STATES):
             P[i, j] = Y[i, j]
             P[j, i] = Y[i, j]
+
+
+@part
+def spread_errors(lane, model, tape, scale):
+    """P ← Φ P Φᵀ + Q; `scale` multiplies the variances of the IMU's white noise."""
+    P, T = lane.P, model.T
+    carry(P, lane.Phi, lane.Y)
     force = scale * model.accelerometer * T + (tape.gap * GAP_FORCE) ** 2
     turn = scale * model.gyro * T + (tape.gap * GAP_RATE) ** 2
     for i in range(3):
