@@ -282,7 +282,7 @@ class Environment:
         engine: (settings, lanes, trail) to a `navgym.envs.base.LaneEngine`.
         live: (settings, reference, model, interval, rates) to a `navgym.envs.live.LiveLane`.
         steered: what a simple chooser of parameters sets.
-        replayed: (names that are set) to the filter whose run with a roll-out's schedule gives the
+        replayed: (arguments of the environment) to the filter whose run with a roll-out's schedule gives the
             engine's states, to the last bit.
         refuses: (scenario) to why the environment cannot play it, or None.
         score: (settings, gains) to the one number that training selects by; larger is better.
@@ -295,7 +295,7 @@ class Environment:
     engine: Callable[..., Any]
     live: Callable[..., Any]
     steered: tuple[str, ...]
-    replayed: Callable[[Sequence[str]], Filter]
+    replayed: Callable[[Mapping[str, Any]], Filter]
     refuses: Callable[[Any], str | None] = lambda _: None
     score: Callable[[Any, Mapping[str, float]], float] = lambda _, gains: next(iter(gains.values()))
 

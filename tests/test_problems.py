@@ -451,7 +451,7 @@ class TestEnvironment:
         engine, start, rows = rolled_out(problem, recordings)
         own, interval = problem.environment, engine.settings.decision_interval
         assert not start.any()
-        replayed = own.replayed(engine.settings.action_parameters)
+        replayed = own.replayed(vars(engine.settings))
         assert isinstance(replayed, Filter)
         batch = problem.stack(recordings)
         for i, recording in enumerate(recordings):

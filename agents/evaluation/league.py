@@ -227,7 +227,7 @@ class League:
         found = [Contender(Entry(BEST_FIXED, self.problem.contest.default, best))]
         for label, values in self._references(here).items():
             entry = Entry(label, own.settings.FILTER, values)
-            found.append(Contender(entry, runs=own.replayed(())))
+            found.append(Contender(entry, runs=own.replayed({})))
         return found
 
     def _tuned_on_tracks(self, variant: str, cases: Cases) -> list[Any]:

@@ -165,5 +165,4 @@ def _schedules(
 
 def replay_filter(chooser: Chooser) -> Filter:
     """The filter whose run with a roll-out's schedules gives the engine's states."""
-    steered = chooser.settings.get("action_parameters", ())
-    return problem_in(chooser.environment).environment.replayed(steered)
+    return problem_in(chooser.environment).environment.replayed(chooser.settings)

@@ -18,9 +18,10 @@ class FallbackRule:
     """Two reasons to leave a policy for the best fixed parameters, and what it takes to return.
 
     *Range*: an element of the observation lies further outside what validation saw than `margin`
-    allows. *NIS*: the mean NIS over the last `window` decisions lies outside the chi-square band
+    allows; where a live lane `compares`, only while the filter with the best fixed parameters, which
+    runs beside on the same samples, has foretold the last `window` decisions better. *NIS*: the mean NIS over the last `window` decisions lies outside the chi-square band
     that holds `confidence` of such means, and over the same samples the filter with the best fixed
-    parameters, which runs beside, has foretold the measurements better by `advantage`. Without
+    parameters has foretold the measurements better by `advantage`. Without
     the second half a filter whose best parameters leave it inconsistent (outliers, a wrong
     model) would never be trusted. What is foretold is scored by a heavy-tailed density, since
     under a Gaussian one a policy that is right to leave outliers out looks worse for each of them.
@@ -61,6 +62,8 @@ class Guard:
         low: (n,) smallest observation in training.
         high: (n,) largest one.
         most: degrees of freedom that one decision can have at most.
+        compares: whether an observation out of range is no reason while the policy's filter has
+            foretold the measurements at least as well as the reference's.
 
     Attributes:
         reason: why the policy is not in force, or None.
@@ -74,10 +77,11 @@ class Guard:
         low: Array,
         high: Array,
         most: int,
+        compares: bool = False,
     ) -> None:
         self._judging, self._names = rule is not None, tuple(names)
         self.rule = rule = rule or FallbackRule()
-        self._trained = low, high
+        self._trained, self._compares = (low, high), compares
         allowed = rule.margin * np.maximum(high - low, 1.0)
         self._low, self._high = low - allowed, high + allowed
         dof = np.arange(rule.window * most + 1)
@@ -117,7 +121,7 @@ class Guard:
 
     def _out_of_range(self, observation: NDArray[np.float32]) -> str | None:
         outside = (observation < self._low) | (observation > self._high)
-        if not outside.any():
+        if not outside.any() or (self._compares and self._keeps_up()):
             return None
         i = int(np.argmax(outside))
         low, high = (float(bound[i]) for bound in self._trained)
@@ -125,6 +129,11 @@ class Guard:
             f"observation {self._names[i]} is {observation[i]:.3g}, and validation saw "
             f"{low:.3g} to {high:.3g}"
         )
+
+    def _keeps_up(self) -> bool:
+        """Whether the policy has foretold a full window at least as well as the reference."""
+        total = self._past.sum(axis=0)
+        return self._count >= self.rule.window and bool(total[SCORE] >= total[REFERENCE_SCORE])
 
     def _inconsistent(self) -> str | None:
         if self._count < self.rule.window:

@@ -87,7 +87,9 @@ class SelfTuningFilter:
         self.policy = policy
         self._interval = self._lane.settings.decision_interval
         most = self._lane.components * self._interval
-        self._guard = Guard(rule, self._lane.names, policy.low, policy.high, most)
+        self._guard = Guard(
+            rule, self._lane.names, policy.low, policy.high, most, self._lane.compares
+        )
         self._fixed = self._named(self._lane.reference)
         self.reset()
 

@@ -48,6 +48,8 @@ COLUMNS = ("kernel_width", "velocity_noise", "model_error_weight", "process_nois
 WEIGHT_OFF = 1e6 - 1e-3  # a model error that costs this much or more stays zero; 1e6, to rounding
 OFF = np.array([50.0, 0.2, 1e6, 1.0])  # where a filter does not expose a column
 
+SURE = 4e-6  # trace of P_l from which on l may turn predictions into the sub's own axes
+
 GAP_RATE, GAP_FORCE = 2e-3, 0.3  # errors of samples that were filled in: rad/s, m/s²
 
 f8, i8 = np.float64, np.int64
@@ -56,6 +58,7 @@ RULE = np.dtype(
         *update.RULE,
         ("no_cross", i8),  # 1: Q without the cross block of V_r and θ̇, as printed
         ("judged", i8),  # 1: report NIS and likelihood
+        ("own_channels", i8),  # 1: innovations of V_s and ω_s alone, once l is known
     ]
 )
 LANE = np.dtype(
@@ -70,6 +73,9 @@ LANE = np.dtype(
         ("M", f8, (3, 6)),
         ("C_s", f8, (3, 3)),
         ("C_m", f8, (3, 3)),
+        ("A", f8, (3, 3)),  # C_im^is
+        ("G", f8, (3, 3)),  # (I + l×)⁻¹
+        ("own", f8, (2, 3)),  # V_s and ω_s, foretold
     ]
 )
 REPORT = np.dtype(  # what a step says beside its state
@@ -263,6 +269,92 @@ def linearize(lane, tape, rate):
 
 
 @part
+def turn_over(lane):
+    """G = (I + l×)⁻¹ = (I + l lᵀ − l×)/(1 + |l|²) and A = G (I − l×), which is C_im^is."""
+    l0, l1, l2 = lane.x[AT.L], lane.x[AT.L + 1], lane.x[AT.L + 2]
+    G, A = lane.G, lane.A
+    d = 1.0 / (1.0 + l0 * l0 + l1 * l1 + l2 * l2)
+    G[0, 0], G[0, 1], G[0, 2] = d * (1.0 + l0 * l0), d * (l0 * l1 + l2), d * (l0 * l2 - l1)
+    G[1, 0], G[1, 1], G[1, 2] = d * (l0 * l1 - l2), d * (1.0 + l1 * l1), d * (l1 * l2 + l0)
+    G[2, 0], G[2, 1], G[2, 2] = d * (l0 * l2 + l1), d * (l1 * l2 - l0), d * (1.0 + l2 * l2)
+    for i in range(3):
+        g0, g1, g2 = G[i, 0], G[i, 1], G[i, 2]
+        A[i, 0] = g0 - (g1 * l2 - g2 * l1)
+        A[i, 1] = g1 - (g2 * l0 - g0 * l2)
+        A[i, 2] = g2 - (g0 * l1 - g1 * l0)
+
+
+@part
+def foretell(lane, tape, rate):
+    """The sub's own V_s and ω_s from the rest of the state: `own`.
+
+    z = h(x) says (I + l×)(V_s − δV) = (I − l×)(V_m + V_r), and the same of rates, so that
+    V̂_s = δV + A (V_m + V_r) and ω̂_s = d + A (ω_m + C_m m) with d = ω̂_s × φ + C_s ε.
+    """
+    x, A = lane.x, lane.A
+    for i in range(3):
+        lane.column[i] = tape.w_m[i]
+        for j in range(3):
+            lane.column[i] += lane.C_m[i, j] * x[rate + j]
+    for i in range(3):
+        V, w = x[AT.DV + i], 0.0
+        for j in range(3):
+            V += A[i, j] * (tape.V_m[j] + x[AT.VR + j])
+            w += A[i, j] * lane.column[j] + lane.C_s[i, j] * x[AT.EPS + j]
+        lane.own[0, i] = V
+        lane.column[3 + i] = w
+    for i in range(3):
+        n, m = (i + 1) % 3, (i + 2) % 3
+        w = lane.column[3 + i]
+        w += lane.column[3 + n] * x[AT.PHI + m] - lane.column[3 + m] * x[AT.PHI + n]
+        lane.own[1, i] = w
+
+
+@part
+def linearize_own(lane, tape, rate):
+    """Innovations of V_s and ω_s alone, and H without what was measured of them.
+
+    z − h holds (I + l×) V_s: there a wrong channel enters the other two by l. `rate` as in `linearize`.
+    """
+    turn_over(lane)
+    foretell(lane, tape, rate)
+    x, G, A, own = lane.x, lane.G, lane.A, lane.own
+    for i in range(3):
+        # a = V̂_s + V_m − δV + V_r, and ω̂_s + ω_m − d + C_m m, of which column holds ω_m + C_m m
+        lane.column[3 + i] = own[0, i] + tape.V_m[i] - x[AT.DV + i] + x[AT.VR + i]
+        w = lane.column[i]
+        for j in range(3):
+            w += A[i, j] * lane.column[j]
+        lane.column[6 + i] = w
+    for i in range(3):
+        lane.innovation[i] = tape.V_s[i] - own[0, i]
+        lane.innovation[3 + i] = tape.w_s[i] - own[1, i]
+        for j in range(3):
+            n, m = (j + 1) % 3, (j + 2) % 3
+            # column j of a×: e_n a_m − e_m a_n
+            lane.H[i, j] = G[i, n] * lane.column[3 + m] - G[i, m] * lane.column[3 + n]
+            lane.H[3 + i, j] = G[i, n] * lane.column[6 + m] - G[i, m] * lane.column[6 + n]
+            lane.H[i, 3 + j] = 1.0 if i == j else 0.0
+            lane.H[i, 6 + j] = A[i, j]
+            lane.H[3 + i, 3 + j] = own[1, m] if i == n else (-own[1, n] if i == m else 0.0)
+            lane.H[3 + i, 6 + j] = lane.C_s[i, j]
+            s = 0.0
+            for b in range(3):
+                s += A[i, b] * lane.C_m[b, j]
+            lane.H[3 + i, 9 + j] = s
+
+
+@part
+def look(lane, tape, rate, own_channels):
+    """Innovations and H; by the sub's own channels, if asked for, once l is known."""
+    spread = lane.P[AT.L, AT.L] + lane.P[AT.L + 1, AT.L + 1] + lane.P[AT.L + 2, AT.L + 2]
+    if own_channels and spread < SURE:
+        linearize_own(lane, tape, rate)
+    else:
+        linearize(lane, tape, rate)
+
+
+@part
 def predict_error(lane, model):
     """Model error D̂ on the flexure's acceleration (eq. 40, corrected), added to x⁻ (eq. 41).
 
@@ -313,7 +405,7 @@ def step(lane, model, tape, rule):
     update.transpose(lane)
     move_rows(lane, model, tape)
     add_noise(lane, model, tape, rule)
-    linearize(lane, tape, AT.RATE)
+    look(lane, tape, AT.RATE, rule.own_channels > 0)
     scale = lane.row[PROCESS]
     for i in range(3):
         lane.R[i] = lane.row[VELOCITY] ** 2
@@ -327,7 +419,7 @@ def step(lane, model, tape, rule):
         lane.model_error[i] = 0.0
     if lane.row[WEIGHT] < WEIGHT_OFF:
         predict_error(lane, model)
-        linearize(lane, tape, AT.RATE)
+        look(lane, tape, AT.RATE, rule.own_channels > 0)
     update.expect(lane)
     update.robust(lane, rule, lane.row[WIDTH])
     update.check(lane)

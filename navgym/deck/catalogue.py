@@ -21,6 +21,7 @@ class Deck:
         joint: whether one runs with the bank's model of the mean rate.
         printed: whether weights, Q, covariance and increments are the paper's own.
         shrunk: whether what is identified is shrunk toward what was believed.
+        own: whether innovations are those of the sub IMU's own channels, once l is known.
     """
 
     method: str | None = None
@@ -29,11 +30,13 @@ class Deck:
     joint: bool = False
     printed: bool = False
     shrunk: bool = True
+    own: bool = False
 
 
 _ALL = (
     Filter("alignment", "24-state deck filter, the flexure as believed: an extended Kalman filter", spaces.ALIGNMENT, "deck", Deck()),
     Filter("alignment_mcc", "the same, robust by the correntropy criterion", spaces.ALIGNMENT_MCC, "deck", Deck()),
+    Filter("alignment_own", "alignment_mcc by the sub IMU's own channels, for IMUs turned by many degrees", spaces.ALIGNMENT_MCC, "deck", Deck(own=True)),
     Filter("deck_bank", "calm, rougher sea, slam and glitch by four filters and their probabilities: no width to choose", spaces.DECK_BANK, "deck", Deck(bank=True), smooths=True),
     Filter("deck_bank_lever", "deck_bank with the lever arm's error among the states, so that velocities may be trusted", spaces.DECK_BANK_LEVER, "deck", Deck(bank=True), smooths=True),
     Filter("idam", "flexure identified on line by an RVM, correntropy, model prediction on request: IDAM, corrected", spaces.IDAM, "deck", Deck("rvm")),

@@ -42,6 +42,7 @@ class DeckEngine(LaneEngine):
         self._filter_rule = np.zeros(1, alignment.RULE)
         self._filter_rule["iterations"] = 1
         self._filter_rule["judged"] = self.settings.reward == "likelihood"
+        self._filter_rule["own_channels"] = self.settings.own_channels
 
     def _allocate(self, trail: bool) -> None:
         self.lanes = np.zeros(self.count, alignment.LANE)

@@ -83,7 +83,7 @@ def estimate(
 def rule_of(option: Deck, judged: bool) -> NDArray[Any]:
     """The kernel's rule (1,) of a member of the family."""
     rule = np.zeros(1, kernels.RULE)
-    rule["iterations"], rule["judged"] = 1, judged
+    rule["iterations"], rule["judged"], rule["own_channels"] = 1, judged, option.own
     for name in ("by_noise", "no_cross", "printed_covariance"):
         rule[name] = option.printed
     return rule

@@ -73,6 +73,9 @@ class LiveDeck(Intake, LiveLane):
 
     components = 3
     begins_anew = True
+    compares = (
+        True  # in seas that nobody trained for a policy is often right, and can be seen to be
+    )
 
     def __init__(
         self,
@@ -95,6 +98,7 @@ class LiveDeck(Intake, LiveLane):
         self._model = np.zeros(1, alignment_model.MODEL)
         judged = np.zeros(1, alignment.RULE)
         judged["iterations"] = judged["judged"] = 1
+        judged["own_channels"] = settings.own_channels
         self._own_row = full_table(settings.SPACE, self.reference)
         self._rule = rule_of(settings)
         self._arguments = (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
@@ -43,9 +43,13 @@ def _guess(batch: Any) -> dict[str, list[float]]:
     return {"kernel_width": [2.0 if "glitch" in name else 50.0 for name in regimes]}
 
 
-def _replayed(names: Sequence[str]) -> Filter:
+def _replayed(settings: Mapping[str, Any]) -> Filter:
     """The filter that a lane runs: idam itself where the agent sets how the flexure is identified."""
-    return CATALOGUE["idam"] if "rvm_kernel_scale" in names else STEERED
+    identifies = "rvm_kernel_scale" in settings.get("action_parameters", ())
+    found = CATALOGUE["idam"] if identifies else STEERED
+    if not settings.get("own_channels", False):
+        return found
+    return replace(found, option=replace(found.option, own=True))
 
 
 def _score(settings: Any, gains: Mapping[str, float]) -> float:
@@ -142,6 +146,16 @@ TRAINING = Training(
                 "reward": "composite", "action_parameters": ("kernel_width",),
                 "decision_interval": 10, "decisions": 300_000, "recipe": {"gamma": 0.95},
                 "pool": 64, "validation": 16, "interval": 50_000,
+            },
+        ),
+        "deck-robust": Preset(
+            "the same under conditions drawn for each recording, by the sub IMU's own channels",
+            {
+                "environment": ENVIRONMENT.id, "scenarios": ("deck/switch-60", "deck/switch-gyro"),
+                "reward": "composite", "action_parameters": ("kernel_width",),
+                "arguments": {"own_channels": True}, "randomise": True, "ranges": {"chance": 0.25},
+                "decision_interval": 10, "decisions": 400_000, "recipe": {"gamma": 0.95},
+                "pool": 128, "validation": 24, "interval": 50_000,
             },
         ),
     },

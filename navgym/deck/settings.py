@@ -30,6 +30,8 @@ class DeckDeformationSettings(LaneSettings):
         warmup: s that the reference filter runs before the first decision.
         ac_weight: of the fast part of θ in the composite reward.
         theta_price: of a θ worse than the reference's.
+        own_channels: innovations of the sub IMU's own velocity and rate alone, once l is known: a
+            wrong channel then stays in its own row however the IMUs are turned to one another.
     """
 
     scenario: str | DeckScenario | Sequence[str | DeckScenario] = "deck/switch-60"
@@ -40,13 +42,14 @@ class DeckDeformationSettings(LaneSettings):
     warmup: float = 60.0
     ac_weight: float = 0.5
     theta_price: float = 1.0
+    own_channels: bool = False
 
     FILTER = "idam"
     SPACE = spaces.IDAM
     REWARDS = ("composite", "absolute", "likelihood")
     RECORDING = DualIMURecording
     SCENARIO = DeckScenario
-    SEEN = (*LaneSettings.SEEN, "features", "warmup")
+    SEEN = (*LaneSettings.SEEN, "features", "warmup", "own_channels")
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -71,6 +71,7 @@ class LiveLane:
     time: float | Decimal | None  # s, of the last sample; None: whatever the next one says
     components: int  # of a filter step's innovation that are judged together
     begins_anew: ClassVar[bool] = False  # warm-up included, where both filters failed
+    compares: ClassVar[bool] = False  # see `navgym.agents.live.fallback.Guard`
 
     def __init__(
         self, settings: LaneSettings, reference: Mapping[str, Any], names: Sequence[str]

@@ -58,6 +58,20 @@ def test_the_reason_tells_what_training_saw():
     assert guarded.reason == "observation depth is 99, and validation saw 10 to 10.5"
 
 
+def test_where_lanes_compare_an_observation_out_of_range_counts_only_while_the_reference_leads():
+    for behind, in_force in ((0.01, False), (0.0, True), (-1.0, True)):
+        guarded = Guard(FallbackRule(window=2), ("speed", "depth"), LOW, HIGH, 8, compares=True)
+        guarded.judge(INSIDE, tally(8.0, behind=behind))
+        guarded.judge(OUTSIDE, tally(8.0, behind=behind))
+        assert (guarded.reason is None) == in_force
+
+
+def test_where_lanes_compare_an_observation_out_of_range_counts_before_a_window_is_full():
+    guarded = Guard(FallbackRule(window=2), ("speed", "depth"), LOW, HIGH, 8, compares=True)
+    guarded.judge(OUTSIDE, tally(8.0, behind=-1.0))
+    assert guarded.reason is not None
+
+
 def test_so_many_reasons_in_a_row_are_needed():
     assert judged(guard(patience=3), OUTSIDE, OUTSIDE, OUTSIDE) == [True, True, False]
     pattern = (OUTSIDE, OUTSIDE, INSIDE, OUTSIDE, OUTSIDE)

@@ -63,17 +63,32 @@ class TestRandomisation:
     def test_chance_nought_leaves_a_scenario_alone(self):
         scenario = find_scenario("auv/switch-B")
         assert drawn(scenario, AUVRanges(chance=0.0), 3) == scenario
+        scenario = find_scenario("deck/switch-60")
+        assert drawn(scenario, DeckRanges(chance=0.0), 3) == scenario
 
     def test_deck_conditions(self):
         scenario, ranges = find_scenario("deck/switch-60"), DeckRanges(chance=1.0, gyro_only=1.0)
         found = drawn(scenario, ranges, 1)
         glitch = next(r for r in found.regimes if r.name == "glitch")
         assert glitch.glitch_velocity == 0.0
-        assert 0.03 <= glitch.glitch_rate <= 0.2
+        assert ranges.glitch_rate[0] <= glitch.glitch_rate <= ranges.glitch_rate[1]
         assert found.lever_error != scenario.lever_error
         assert found.dwell[0] <= found.dwell[1]
-        calm = next(r for r in found.regimes if r.name == "calm")
-        assert calm == scenario.regimes[0]
+        assert found.believed == scenario.regimes[0]  # the flexure changes, not the belief
+        assert (np.abs(found.static) >= 10.0).all()
+        assert (np.abs(found.static) <= 1800.0).all()
+        for before, after in zip(scenario.regimes, found.regimes, strict=True):
+            factors = [np.divide(getattr(after, n), getattr(before, n)) for n in ("tau", "sigma")]
+            assert np.ptp(factors, axis=1).min() > 0.0
+            assert (np.abs(np.log(factors)) <= np.log(2.0) + 1e-12).all()
+
+    def test_slams_and_glitches_come_at_once_where_drawn(self):
+        scenario = find_scenario("deck/switch-60")
+        for both in (0.0, 1.0):
+            found = drawn(scenario, DeckRanges(chance=1.0, gyro_only=0.0, both=both), 1)
+            slam, glitch = found.regimes[2:]
+            wanted = glitch.glitch_rate if both else 0.0
+            assert (slam.glitch_rate, found.regimes[0].glitch_rate) == (wanted, 0.0)
 
     def test_sizes_of_glitches_are_drawn_together_and_in_their_range(self):
         scenario, ranges = find_scenario("deck/switch-60"), DeckRanges(chance=1.0, gyro_only=0.0)
@@ -93,7 +108,8 @@ class TestRandomisation:
         [
             (DeckRanges, {"chance": 1.1}), (DeckRanges, {"gyro_only": -0.1}),
             (DeckRanges, {"glitch_rate": (0.1, 1.1)}), (DeckRanges, {"glitch_rate": (0.0, 0.1)}),
-            (DeckRanges, {"dwell": (0.0, 1.0)}), (DeckRanges, {"slam_rate": (2.0, 1.0)}),
+            (DeckRanges, {"both": 1.1}), (DeckRanges, {"mounting": (0.0, 1.0)}),
+            (DeckRanges, {"flexure": (2.0, 1.0)}), (DeckRanges, {"dwell": (0.0, 1.0)}), (DeckRanges, {"slam_rate": (2.0, 1.0)}),
             (AUVRanges, {"chance": -0.1}), (AUVRanges, {"chance": 1.1}),
             (AUVRanges, {"loss": (0.0, 1.1)}), (AUVRanges, {"loss": (-0.1, 1.0)}),
             (AUVRanges, {"dwell": (0.9, 2.0)}), (AUVRanges, {"outlier_scale": (0.0, 1.0)}),

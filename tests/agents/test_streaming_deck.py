@@ -11,7 +11,7 @@ from navgym.deck.alignment import THETA
 from navgym.deck.batch import DeckBatch
 from navgym.deck.environment import DeckDeformationEnv
 from navgym.deck.estimation import attitudes
-from navgym.deck.problem import STEERED
+from navgym.deck.problem import PROBLEM, STEERED
 from navgym.inertial.flexure import ARCMIN
 from tests.agents.both import DECK, run_deck
 from tests.agents.live import episode, parameters, schedule, some_policy, stacked
@@ -40,22 +40,24 @@ def sea(seconds=30.0, seed=3, scenario="deck/switch-60", **overrides):
 
 class TestDeckParity:
     @pytest.mark.parametrize(
-        ("features", "warmup", "interval"), [("all", 10.0, 20), ("gyro", 0.0, 7)]
+        ("features", "warmup", "interval", "own"),
+        [("all", 10.0, 20, False), ("gyro", 0.0, 7, False), ("all", 10.0, 20, True)],
     )
-    def test_it_is_the_environment_to_the_last_bit(self, features, warmup, interval):
+    def test_it_is_the_environment_to_the_last_bit(self, features, warmup, interval, own):
         recording = sea()
         assert np.abs(recording.disturbance).max() > 0.0
         env, policy = deck(
             recording, features=features, warmup=warmup, decision_interval=interval,
-            reference={"kernel_width": 12.0}, action="residual",
+            reference={"kernel_width": 12.0}, action="residual", own_channels=own,
         )  # fmt: skip
         rows, space = episode(env, policy), env.engine.space
         first = round(warmup / recording.step)
         fixed = np.repeat(space.array(env.engine.reference), first, axis=0)
         whole = np.concatenate([fixed, np.repeat(rows, interval, axis=0)])[: recording.steps]
         run = run_deck(
-            STEERED, DeckBatch.of([recording]), [schedule(space, whole)], 1, everything=True
-        )
+            PROBLEM.environment.replayed(vars(env.engine.settings)), DeckBatch.of([recording]),
+            [schedule(space, whole)], 1, everything=True,
+        )  # fmt: skip
         found = list(deck_filter(recording, policy).follow(recording))
         np.testing.assert_array_equal(stacked(found, "state"), run.states[0])
         np.testing.assert_array_equal(stacked(found, "covariance"), run.covariances[0])

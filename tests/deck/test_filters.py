@@ -50,6 +50,25 @@ def test_alignment_mcc_is_the_kernel_with_a_width(switching):
     same(navgym.estimate("alignment_mcc", switching), run_alignment([switching], **default))
 
 
+def test_alignment_own_is_the_kernel_by_the_subs_own_channels(switching):
+    own = navgym.estimate("alignment_own", switching, {"kernel_width": 3.0})
+    same(own, run_alignment([switching], {"own_channels": 1}, kernel_width=3.0))
+    measured = navgym.estimate("alignment_mcc", switching, {"kernel_width": 3.0})
+    assert np.abs(own.theta_rate - measured.theta_rate).max() > 0.0
+
+
+def test_by_own_channels_a_wrong_one_spoils_no_other_at_large_angles():
+    """θ̇ is a third better where IMUs are turned by (30, 10, 30) degrees."""
+    changes = {"static": (1800.0, 600.0, 1800.0), "duration": 240.0}
+    batch = DeckBatch.of(simulate_many("deck/glitch", navgym.seeds("test", 4, 100), **changes))
+    rms = []
+    for name in ("alignment_own", "alignment_mcc"):
+        rates = run_deck(name, batch, {"kernel_width": 2.0}).states[:, 1200:, 21:]
+        error = rates - batch.truth[:, 1200:, 3:]
+        rms.append(np.sqrt((error**2).sum(axis=-1).mean(axis=1)).mean())
+    assert rms[0] < 0.75 * rms[1]
+
+
 def test_the_oracle_beats_the_believer_where_the_model_changes():
     batch = DeckBatch.of(simulate_many("deck/switch-30", range(6), duration=240.0))
     rms = {

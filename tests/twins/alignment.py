@@ -28,6 +28,7 @@ class Rules:
     by_noise: bool = False
     cross: bool = True
     floor: float = 1e-12
+    own_channels: bool = False
 
 
 def cross(v):
@@ -85,6 +86,28 @@ def jacobian(x, tape):
     H[3:, l_] = cross(w - drift + D @ x[RATE])
     H[3:, PHI], H[3:, EPS], H[3:, RATE] = up @ cross(tape["w_s"]), up @ C, down @ D
     return H
+
+
+def own(x, tape):
+    """V_s and ω_s as the state foretells them, nothing measured of them used."""
+    A = np.linalg.solve(np.eye(3) + cross(x[l_]), np.eye(3) - cross(x[l_]))
+    V = x[DV] + A @ (tape["V_m"] + x[V_R])
+    w = A @ (tape["w_m"] + attitude(tape["q_m"]) @ x[RATE]) + attitude(tape["q_mid"]) @ x[EPS]
+    return np.concatenate([V, w + np.cross(w, x[PHI])])
+
+
+def looked(x, P, tape, rules):
+    """Innovation and H (6, 24) at x; by the sub's own channels with H by central differences."""
+    if not (rules.own_channels and np.trace(P[l_, l_]) < 4e-6):
+        z = np.concatenate([tape["V_s"] - tape["V_m"], tape["w_s"] - tape["w_m"]])
+        return z - predicted(x, tape), jacobian(x, tape)
+    H = [slope(lambda d, e=e: own(x + d * e, tape)) for e in np.eye(24)]
+    return np.concatenate([tape["V_s"], tape["w_s"]]) - own(x, tape), np.array(H).T
+
+
+def slope(f, h=1e-3):
+    """f'(0) by five points: to h⁴."""
+    return (8.0 * (f(h) - f(-h)) - (f(2.0 * h) - f(-2.0 * h))) / (12.0 * h)
 
 
 def transition(tape, dt, flexing, before, after):
@@ -160,8 +183,7 @@ def alignment(recording, tape, rules, flexures=None):
         R = np.repeat([rule.velocity_noise**2, model.rate_noise**2], 3)
         R[3:] += rule.process * density * dt / 3.0
         used = np.repeat([True, now["gap"] == 0], 3)
-        z = np.concatenate([now["V_s"] - now["V_m"], now["w_s"] - now["w_m"]])[used]
-        nu, H, R = z - predicted(x, now)[used], jacobian(x, now)[used], R[used]
+        nu, H, R = (each[used] for each in (*looked(x, P, now, rule), R))
         S = H @ P @ H.T + np.diag(R)
         log["nis"].append(nu @ np.linalg.solve(S, nu))
         log["log_likelihood"].append(-0.5 * (log["nis"][-1] + np.linalg.slogdet(2 * np.pi * S)[1]))
@@ -173,7 +195,7 @@ def alignment(recording, tape, rules, flexures=None):
             normal = HG.T @ np.diag(1.0 / R) @ HG + rule.weight * np.diag(dt / density)
             D = np.linalg.solve(normal, HG.T @ (nu / R))
             x = x + Gamma @ D
-            nu, H = z - predicted(x, now)[used], jacobian(x, now)[used]
+            nu, H = (each[used] for each in looked(x, P, now, rule))
         log["innovation_variance"].append(np.diag(H @ P @ H.T) + R)
         x, P, C = update(x, P, nu, H, R, rule)
         for name, value in zip(NAMES, (x, P, nu, C, D), strict=False):
