@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 
 from navgym.core.checks import one_of, positive_int
 from navgym.envs.base import INFORMATION, REWARD, TERMINATED, TRUNCATED, LaneEngine
-from navgym.envs.faces import checked_options, spaces_of
+from navgym.envs.faces import checked_options, known, spaces_of
 
 
 class LaneVecEnv(VecEnv):
@@ -138,7 +138,7 @@ class LaneVecEnv(VecEnv):
             return [{} for _ in range(self.num_envs)]
         names = self.engine.info_fields
         return [
-            dict(zip(names, row, strict=True), **{"TimeLimit.truncated": False})
+            known(names, row) | {"TimeLimit.truncated": False}
             for row in out[:, INFORMATION:].tolist()
         ]
 

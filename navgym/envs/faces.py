@@ -97,8 +97,7 @@ class LaneEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self._history.append(row[INFORMATION + len(self.engine.INFO_NAMES) :])
             if self.render_mode == "human":
                 self.render()
-        told = zip(self.engine.info_fields, row[INFORMATION:], strict=True)
-        info = {name: value for name, value in told if not math.isnan(value)}
+        info = known(self.engine.info_fields, row[INFORMATION:])
         return obs[0], row[REWARD], row[TERMINATED] > 0.0, row[TRUNCATED] > 0.0, info
 
     def render(self) -> Any:
@@ -277,6 +276,12 @@ class LaneVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
             values[:] = [label.get(name) for label in labels]
             found[name], found[f"_{name}"] = values, np.array([name in label for label in labels])
         return found
+
+
+def known(names: Sequence[str], values: Sequence[float]) -> dict[str, float]:
+    """A lane's information by name, without what is NaN: not known."""
+    told = zip(names, values, strict=True)
+    return {name: value for name, value in told if not math.isnan(value)}
 
 
 def checked_render_mode(render_mode: str | None) -> str | None:
