@@ -34,6 +34,8 @@ from navgym.ins.recording import Aiding
 from navgym.ins.settings import INSDropoutSettings
 from navgym.statespace.batch import StateSpaceBatch
 from navgym.statespace.filters import combiner, modes
+from navgym.statespace.filters import mixture as kernels
+from tests.agents import mixtures
 from tests.deck.lanes import outputs_for, prepare, rule_of, run_alignment, run_bank
 from tests.helpers import NAMES
 from tests.inertial import test_update
@@ -53,7 +55,7 @@ def numbers():
     """Arrays by name, from every family of kernels."""
     found = {}
     for part in (
-        filters, mixture, deck, deck_bank, failing, updating, mechanised, inertial, identification,
+        filters, mixture, mixed, deck, deck_bank, failing, updating, mechanised, inertial, identification,
         environments, live_auv, live_deck, live_ins,
     ):  # fmt: skip
         found |= {f"{part.__name__} {name}": plain(v) for name, v in part().items()}
@@ -101,6 +103,17 @@ def mixture():
     )
 
 
+def mixed():
+    """A mixture of fixed filters, and what it learns from."""
+    rng = np.random.default_rng(6)
+    z, errors, worth = rng.normal(size=(5, 3)), rng.normal(size=(5, 2, 2)), np.ones(5)
+    slopes = np.zeros((3, 2)), np.zeros(2)
+    able = np.arange(10).reshape(5, 2) > 0
+    kernels.learn(z, errors, worth, able, rng.normal(size=(3, 2)), np.zeros(2), *slopes)
+    found = mixtures.mixture().estimate(navgym.simulate("auv/heavy", seed=1, steps=8, loss=0.3))
+    return {"states": found.states, "weights": found.extras["weights"], "slope": slopes[0]}
+
+
 def deck():
     """The deck's simulator and the 24-state filter, by rules that reach all its branches."""
     recording = navgym.simulate("deck/glitch", seed=2, duration=0.4)
@@ -125,6 +138,7 @@ def deck_bank():
         run = run_bank([sure], **columns)
         found |= {f"{i} {k}": v for k, v in run.items() if k not in ("lanes", "tapes")}
     live = navgym.LiveDeckBank(sure.model, interval=sure.interval)
+    found["smoothed"] = navgym.smooth("deck_bank_lever", sure).states
     return found | {"live": [each.state for each in live.follow(sure)]}
 
 
@@ -177,6 +191,7 @@ def inertial():
                 chosen, batch, chosen.space.array({"fill": fill})[None], 5, True
             )
             found |= {f"{name} {fill} {what}": getattr(run, what) for what in ("states", "covariances", "nis")}  # fmt: skip
+    found["smoothed"] = navgym.smooth("ins_kf", r).states
     place, v, C = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3, 3))
     start = batch.models["start"][0]
     mechanise(
