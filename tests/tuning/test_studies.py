@@ -388,9 +388,9 @@ def test_the_stand_in_has_the_same_ways_with_new_noise():
 def test_parameters_are_tuned_on_the_other_half_of_the_tracks(monkeypatch):
     asked = []
 
-    def record(problem, folder, rate, draws, split, tracks=None):
+    def record(problem, folder, rate, draws, split, tracks=None, *more):
         asked.append((split, tuple(tracks)))
-        return real_cases(problem, folder, rate, draws, split, tracks)
+        return real_cases(problem, folder, rate, draws, split, tracks, *more)
 
     monkeypatch.setattr("navgym.tuning.experiments.real_cases", record)
     halves = list(cross_tuned(PROBLEM, Entry("kf", "kf"), None, 1, 2))
