@@ -216,13 +216,14 @@ def smooth(
 
     Args:
         filter_name: one that can be smoothed: kf and oracle of linear models; deck_bank, deck_bank_lever
-            and oracle of decks.
+            and oracle of decks; every INS filter.
         recording: as for `estimate`, and so are the others.
         parameters: of the filter.
         decision_interval: samples per row of a schedule.
 
     Returns what `estimate` does. States and covariances are smoothed, but where the filter has failed on
-    its way: then they are its own, NaN from there on. Innovations, NIS and likelihoods are the filter's.
+    its way: then they are its own, NaN from there on. Innovations, NIS, likelihoods and extras are the
+    filter's.
 
     Raises ValueError and TypeError as `estimate`, and ValueError for a filter that cannot be smoothed.
     """
