@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 
 import navgym
 from navgym.core.parameters import ParameterSpace
-from navgym.envs.base import INFORMATION, TERMINATED, TRUNCATED
+from navgym.envs.columns import INFORMATION, TERMINATED, TRUNCATED
 from navgym.envs.live import CONTROLLED
 from navgym.envs.rules import HandRule
 from navgym.envs.settings import LaneSettings

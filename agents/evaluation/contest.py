@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navgym.agents.combiner.combiner import Combiner
-from navgym.agents.evaluation.rollout import Chooser, replay_filter, roll_out
+from navgym.agents.evaluation.rollout import Chooser, problem_in, replay_filter, roll_out
 from navgym.agents.evaluation.streamed import stream
 from navgym.agents.policies.policy import Policy
 from navgym.core.checks import Array
@@ -95,6 +95,7 @@ class Contender:
         states: estimates of its own, (N, T, n) and flags (N,), where it is no filter run.
         latency: µs per filter step that choosing takes on its own.
         fallbacks: (N,) share of each recording that a fallback was in force.
+        jitter: (N,) mean |Δ| of its parameters per decision, each on its own scale; see `jitter`.
     """
 
     entry: Entry
@@ -102,6 +103,7 @@ class Contender:
     states: Callable[[], tuple[Array, NDArray[Any]]] | None = None
     latency: float = 0.0
     fallbacks: Array | None = None
+    jitter: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +124,7 @@ class Result:
             time, once per second, where they were asked for.
         labels: the true regimes of those recordings, where they have any.
         fallbacks: per label, share of the time that its fallback was in force.
+        jitter: per label that chooses parameters, mean |Δ| of them per decision; see `jitter`.
         chosen: per label, parameters over time (values per name) on the first recording.
         time: (K,) s of the filter steps of the first recording.
         consistency: per label, NIS and NEES; see `League.consistency`.
@@ -131,6 +134,7 @@ class Result:
     comparisons: Mapping[str, Comparison]
     labels: Sequence[Labels] = ()
     fallbacks: Mapping[str, float] = field(default_factory=dict)
+    jitter: Mapping[str, float] = field(default_factory=dict)
     chosen: Mapping[str, Mapping[str, Array]] = field(default_factory=dict)
     time: Array | None = None
     consistency: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
@@ -153,7 +157,23 @@ def choosing(label: str, chooser: Chooser, cases: Cases) -> Contender:
         Entry(label, runs.name, found.schedules, interval=found.interval),
         runs=runs,
         latency=latency(chooser) / chooser.settings["decision_interval"],
+        jitter=np.array([jitter(each, chooser, found.interval) for each in found.schedules]),
     )
+
+
+def jitter(schedule: Mapping[str, Any], chooser: Chooser, interval: int) -> float:
+    """How restless a schedule is: mean |Δ| per decision of what the chooser sets, on its own scale.
+
+    The scale is mostly a logarithm: .1 is a change by a tenth, decision after decision.
+    """
+    space = problem_in(chooser.environment).environment.settings.SPACE
+    every = max(1, chooser.settings["decision_interval"] // interval)
+    ways = []
+    for name in chooser.settings["action_parameters"]:
+        values = np.atleast_1d(schedule[name])[::every]
+        warped = [space[name].warp(float(v)) for v in values]
+        ways.append(np.abs(np.diff(warped)).mean() if len(warped) > 1 else 0.0)
+    return float(np.mean(ways))
 
 
 def deployed(label: str, policy: Policy, cases: Cases) -> Contender:

@@ -26,6 +26,7 @@ class Tally:
         flags: (N,) its own word that it diverged.
         seconds: (N, S) squared errors, where they are kept.
         fallbacks: (N,) shares, where there is a fallback.
+        jitter: (N,) of the parameters, where they are chosen.
         spent: s of filtering.
         latency: µs per filter step of choosing.
     """
@@ -35,6 +36,7 @@ class Tally:
     flags: NDArray[np.bool_]
     seconds: Array | None
     fallbacks: Array | None
+    jitter: Array | None
     spent: float
     latency: float
 
@@ -90,7 +92,7 @@ def _run(league: League, condition: Condition, contender: Contender, cases: Any)
         league.errors(cases, states, league.measured(condition)),
         np.asarray(flags, dtype=np.bool_),
         league.seconds(cases, states) if condition.kind == OWN else None,
-        contender.fallbacks, spent, contender.latency,
+        contender.fallbacks, contender.jitter, spent, contender.latency,
     )  # fmt: skip
 
 
@@ -122,16 +124,24 @@ def joined(league: League, condition: Condition, found: Sequence[Part]) -> Resul
         about["seeds"] = [found[0].about["seeds"][0], found[-1].about["seeds"][1]]
     each = {label: [p.tallies[label] for p in found] for label in found[0].tallies}
     samples = sum(p.samples for p in found)
-    shares = {
-        label: [t.fallbacks for t in ts if t.fallbacks is not None] for label, ts in each.items()
-    }
+    shares, jitter = (_means(each, name) for name in ("fallbacks", "jitter"))
     return Result(
         condition,
         {name: _compared(league, name, each, samples, about) for name in league.measured(condition)},
         [label for p in found for label in p.labels],
-        {label: float(np.concatenate(s).mean()) for label, s in shares.items() if s},
+        shares,
+        jitter,
         **found[0].looks,
     )  # fmt: skip
+
+
+def _means(each: Mapping[str, Sequence[Tally]], name: str) -> dict[str, float]:
+    """Mean over recordings, per label that has any, of a field of its tallies."""
+    found = {
+        label: [v for t in tallies if (v := getattr(t, name)) is not None]
+        for label, tallies in each.items()
+    }
+    return {label: float(np.concatenate(v).mean()) for label, v in found.items() if v}
 
 
 def _compared(

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navgym.core.checks import Array, one_of
-from navgym.envs.base import INFORMATION, TERMINATED, TRUNCATED, LaneEngine
+from navgym.envs.base import LaneEngine
+from navgym.envs.columns import INFORMATION, TERMINATED, TRUNCATED
 from navgym.problem import Filter, Problem, environments, problem_of
 
 

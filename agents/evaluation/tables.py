@@ -51,12 +51,13 @@ def verdict_table(bench: Bench) -> Table:
     first = next(bench.own())
     head = ["policy", "on", f"gain in {first.main.measure.label}", "p (Holm)", "score"]
     head += ["of the table's gain", *(f"in {first.comparisons[q].measure.label}" for q in others)]
-    head += ["µs/step", "fallback", "better?"]
+    head += ["µs/step", "jitter", "fallback", "better?"]
     rows = [_verdict_row(bench, v, others) for v in bench.verdicts]
     caption = (
         f"{bench.league.environment}. Of the table's gain: against the parameters by true regime. "
         "µs/step: the filter, and the policy's time for one decision spread over its steps, on this "
-        "machine with all else that ran on it. Fallback: share of the time that it is in force where "
+        "machine with all else that ran on it. Jitter: mean |Δ ln parameter| from one decision to the "
+        "next. Fallback: share of the time that it is in force where "
         "the policy runs with one."
     )
     kinds = ["best" if v.better else "diverged" for v in bench.verdicts]
@@ -74,7 +75,7 @@ def _verdict_row(bench: Bench, v: Verdict, others: Sequence[str]) -> list[str]:
     gains = [tables.gain(result.comparisons[q][v.policy]) for q in others]
     return [
         v.policy, v.condition, tables.gain(main[v.policy]), _p(v.p_holm), tables.number(v.score), share,
-        *gains, f"{main.microseconds[v.policy]:.1f}",
+        *gains, f"{main.microseconds[v.policy]:.1f}", f"{result.jitter[v.policy]:.2f}",
         tables.NOTHING if kept is None else tables.percent(kept), "yes" if v.better else "NO",
     ]  # fmt: skip
 
@@ -252,6 +253,7 @@ def _result(result: Result) -> dict[str, Any]:
         "kind": result.condition.kind,
         "comparisons": {k: c.as_dict() for k, c in result.comparisons.items()},
         "fallback in force": dict(result.fallbacks),
+        "jitter": dict(result.jitter),
     }
     if result.labels:
         names, errors = by_regime(result)

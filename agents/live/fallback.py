@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navgym.core.checks import Array, positive_int, within
-from navgym.envs.base import FREEDOM, HEARD, NIS_SUM, REFERENCE_SCORE, SCORE, TALLY
+from navgym.envs.columns import FREEDOM, HEARD, NIS_SUM, REFERENCE_SCORE, SCORE, TALLY
 from navgym.metrics.consistency import nis_band
 
 

@@ -78,6 +78,11 @@ class SelfTuningFilter:
                 f"SelfTuningFilter({manifest.filter!r}, ...), or a policy of {filter_name}."
             )
         known, reference = manifest.settings, dict(manifest.reference)
+        if known.get("context", "hidden") != "hidden":
+            raise ValueError(
+                "the policy reads the true regime, which nobody knows at sea: it is for analysis only. "
+                'Train one with context="hidden".'
+            )
         # what decides what the policy sees and sets; the reference is given whole
         seen = [name for name in own.settings.SEEN if name in known and name != "reference"]
         chosen = own.settings(**{name: known[name] for name in seen})

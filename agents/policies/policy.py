@@ -16,6 +16,7 @@ from navgym.agents.policies.manifest import Manifest
 from navgym.core.checks import Array, one_of, real_array, shaped, within
 from navgym.envs.actions import LIMIT, action_table, fill_rows
 from navgym.problem import PROBLEMS
+from navgym.tuned import read_tuned
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -168,6 +169,15 @@ class Policy:
         header, arrays = self.parts()
         return portable.write(path, KIND, arrays, header)
 
+    def to_onnx(self, path: str | os.PathLike[str]) -> Path:
+        """Write an ONNX model of the same function, the manifest in its metadata; returns the path.
+
+        Raises RuntimeError where the extra `navgym[onnx]` is missing.
+        """
+        from navgym.agents.policies.onnx_model import write_onnx
+
+        return write_onnx(self, path)
+
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Policy:
         """Read what `save` wrote.
@@ -273,6 +283,38 @@ class Policy:
         """The same policy, whose manifest says more of its training."""
         training = {**self.manifest.training, **facts}
         return self._again(self.layers, dataclasses.replace(self.manifest, training=training))
+
+    def with_reference(self, reference: Mapping[str, Any] | str | os.PathLike[str]) -> Policy:
+        """The same policy around other parameters: its actions start from them, and it falls back to them.
+
+        Made for policies that were trained with `references`; others may be worse than the parameters
+        that they are put around, which `navgym evaluate --log` tells. The manifest says what was done.
+
+        Args:
+            reference: parameters of the policy's filter, or the path of a tuned.toml.
+
+        Raises ValueError for parameters of another filter, and for a policy whose actions do not start
+        from a reference.
+        """
+        if self.manifest.settings.get("action") != "residual":
+            raise ValueError(
+                "the policy sets parameters outright, whatever the reference: train one with "
+                "action='residual'."
+            )
+        source = "given"
+        if isinstance(reference, (str, os.PathLike)):
+            tuned = read_tuned(reference)
+            one_of("filter of the reference", tuned.filter, (self.manifest.filter,))
+            reference, source = tuned.parameters, Path(reference).name
+        whole = self._space.defaults | dict(reference)
+        if len(self._space.array(whole)) > 1:
+            raise ValueError(f"reference must hold one number per parameter, got {reference!r}.")
+        training = {**self.manifest.training, "references_since": source}
+        settings = {**self.manifest.settings, "reference": whole}
+        manifest = dataclasses.replace(
+            self.manifest, reference=whole, settings=settings, training=training
+        )
+        return self._again(self.layers, manifest)
 
     def silent(self) -> Policy:
         """The policy that always leaves the reference in force: what is written where a guard said no."""

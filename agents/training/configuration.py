@@ -146,6 +146,10 @@ class Configuration:
     """further arguments of the environment, as JSON: '{"reward_clip": 10.0}'"""
     randomise: bool = False
     """draw the conditions of each recording anew: a policy for any sea instead of a specialist"""
+    untouched: float = 0.0
+    """with randomise, the share of recordings that are left as their scenario is"""
+    references: bool = False
+    """start from other parameters in each recording: a policy to put around any, such as one's own tuned ones"""
     ranges: Fields = field(default_factory=dict)
     """what conditions are drawn from, where not from the problem's usual ranges, as JSON"""
     algorithm: Algorithm = "ppo"
@@ -207,6 +211,7 @@ class Configuration:
         ):  # fmt: skip
             positive_int(name, getattr(self, name))
         positive_int("validation", self.validation, least=2)
+        within("untouched", self.untouched, 0.0, 1.0)
         positive_int("seed", self.seed, least=0)
         within("memory", self.memory, 0.0, above=True)
         taken = {
@@ -252,9 +257,10 @@ class Configuration:
             raise ValueError(
                 "recurrent_ppo is for simulated recordings: use ppo, sac or tqc with --log."
             )
-        elif self.randomise or self.clone or self.overrides:
+        elif self.randomise or self.references or self.clone or self.overrides:
             raise ValueError(
-                "randomise, clone and overrides are for simulated recordings: leave them out with --log."
+                "randomise, references, clone and overrides are for simulated recordings: leave them out "
+                "with --log."
             )
 
     @property
@@ -437,7 +443,7 @@ def _helps(kind: Any) -> dict[str, str]:
 def comparable(config: Configuration) -> dict[str, Any]:
     """The configuration without what does not change the result, and without folders' names."""
     found = dataclasses.replace(config, out=None, memory=1.0).as_dict()
-    unused = ("observations", "reach", *_OF_LOGS)
+    unused = ("observations", "reach", "untouched", "references", *_OF_LOGS)
     plain = declared.as_dict(Configuration())
     if not config.log:  # as it was before there were any
         return {n: v for n, v in found.items() if n not in unused or v != plain.get(n)}

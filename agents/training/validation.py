@@ -16,7 +16,8 @@ from navgym.agents.training.configuration import Configuration
 from navgym.agents.training.randomisation import drawn
 from navgym.core.checks import Array
 from navgym.core.seeds import seeds
-from navgym.envs.base import INFORMATION, TERMINATED, TRUNCATED, LaneEngine
+from navgym.envs.base import LaneEngine
+from navgym.envs.columns import INFORMATION, TERMINATED, TRUNCATED
 from navgym.simulation import find_scenario, simulate_many
 
 LOST = 10.0  # errors of the reference that a diverged lane counts as
@@ -119,15 +120,18 @@ def play(engine: LaneEngine, act: Actor) -> Played:
 def engine_on(
     config: Configuration,
     recordings: list[Any],
-    reference: Mapping[str, Any],
+    reference: Mapping[str, Any] | list[Mapping[str, Any]],
     lanes: int | None = None,
 ) -> LaneEngine:
-    """The configuration's engine on `recordings`, with a lane for each or `lanes` of them."""
+    """The configuration's engine on `recordings`, with a lane for each or `lanes` of them.
+
+    `reference` holds the parameters that actions start from, for all or for each.
+    """
     made: Any = gymnasium.make_vec(
         config.environment,
         num_envs=len(recordings) if lanes is None else lanes,
         recordings=recordings,
-        reference=dict(reference),
+        reference=reference if isinstance(reference, list) else dict(reference),
         **config.environment_arguments(),
     )
     engine: LaneEngine = made.unwrapped.engine
@@ -158,7 +162,7 @@ class Validation:
                 )[0]
                 for i, seed in enumerate(chosen)
             ]
-            self.arenas.append(self._arena(RANDOMISED, made, config.reference))
+            self.arenas.append(self._drawn(made))
 
     @property
     def count(self) -> int:
@@ -175,6 +179,16 @@ class Validation:
         judge = engine if same else engine_on(self.config, recordings, best)
         nothing = np.zeros((judge.count, len(judge.table)), dtype=np.float32)
         return Arena(name, engine, play(judge, lambda _: nothing).reference)
+
+    def _drawn(self, recordings: list[Any]) -> Arena:
+        """The arena of drawn conditions; with `references` each recording has a zero line of its own."""
+        from navgym.agents.training.material import references
+
+        if not self.config.references:
+            return self._arena(RANDOMISED, recordings, self.config.reference)
+        engine = engine_on(self.config, recordings, references(self.config, recordings))
+        nothing = np.zeros((engine.count, len(engine.table)), dtype=np.float32)
+        return Arena(RANDOMISED, engine, play(engine, lambda _: nothing).reference)
 
     def __call__(self, act: Actor) -> Scores:
         """Gains of `act`, which maps observations (N, n) to actions (N, k)."""

@@ -12,7 +12,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
 from navgym.core.checks import one_of, positive_int
-from navgym.envs.base import INFORMATION, REWARD, TERMINATED, TRUNCATED, LaneEngine
+from navgym.envs.base import LaneEngine
+from navgym.envs.columns import INFORMATION, REWARD, TERMINATED, TRUNCATED
 from navgym.envs.faces import checked_options, known, spaces_of
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from navgym.auv.scenarios import AUVScenario, Loss
+from navgym.auv.scenarios import AUVScenario, Loss, Regime
 from navgym.core.checks import span, within
 from navgym.core.draws import Range, log_uniform, pair
 
@@ -30,6 +30,14 @@ class AUVRanges:
     """multiple of Q in a manoeuvre, drawn log-uniformly"""
     dwell: Range = (15.0, 350.0)
     """samples: the shortest and the longest time in a regime, both drawn log-uniformly"""
+    sway: Range = (0.02, 0.5)
+    """m/s²: a sine that no model knows of, drawn log-uniformly"""
+    sway_period: Range = (12.0, 120.0)
+    """s: of that sine, drawn log-uniformly"""
+    memory: Range = (0.2, 0.95)
+    """correlation of noise from sample to sample, drawn uniformly"""
+    regimes: tuple[int, int] = (1, 4)
+    """how many regimes of any kind take the place of the scenario's"""
 
     def __post_init__(self) -> None:
         within("chance", self.chance, 0.0, 1.0)
@@ -38,6 +46,11 @@ class AUVRanges:
         for name in ("measurement_scale", "process_scale", "outlier_scale", "manoeuvre_scale"):
             span(name, getattr(self, name), 0.0, above=True)
         span("dwell", self.dwell, 1.0)
+        for name in ("sway", "sway_period"):
+            span(name, getattr(self, name), 0.0, above=True)
+        span("memory", self.memory, 0.0)
+        within("memory", self.memory[1], 0.0, 0.999)
+        span("regimes", self.regimes, 1, whole=True)
 
 
 def draw(scenario: AUVScenario, ranges: AUVRanges, rng: np.random.Generator) -> AUVScenario:
@@ -51,6 +64,26 @@ def draw(scenario: AUVScenario, ranges: AUVRanges, rng: np.random.Generator) -> 
         "outlier_scale": log_uniform(ranges.outlier_scale, rng),
         "manoeuvre_scale": log_uniform(ranges.manoeuvre_scale, rng),
         "dwell": tuple(round(d) for d in pair(ranges.dwell, rng)),
+        "sway": (log_uniform(ranges.sway, rng), log_uniform(ranges.sway_period, rng)),
+        "memory": float(rng.uniform(*ranges.memory)),
+        "regimes": drawn_regimes(ranges, rng),
     }
     found = {name: value for name, value in draws.items() if rng.random() < ranges.chance}
     return scenario.override(**found)
+
+
+def drawn_regimes(ranges: AUVRanges, rng: np.random.Generator) -> tuple[Regime, ...]:
+    """Regimes of any kind: noise of sensors and of motion, outliers, each present or not."""
+    count = int(rng.integers(ranges.regimes[0], ranges.regimes[1] + 1))
+    found = []
+    for i in range(count):
+        moves, outliers = rng.random(2) < 0.5
+        found.append(
+            Regime(
+                f"drawn {i + 1}",
+                measurement_scale=log_uniform(ranges.measurement_scale, rng),
+                process_scale=log_uniform(ranges.manoeuvre_scale, rng) if moves else 1.0,
+                outlier_rate=float(rng.uniform(0.02, 0.3)) if outliers else 0.0,
+            )
+        )
+    return tuple(found)

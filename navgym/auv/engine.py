@@ -55,7 +55,7 @@ class Engine(LaneEngine):
     # ---- what there is to see and to do -------------------------------------------------
 
     @property
-    def observation_names(self) -> tuple[str, ...]:
+    def features(self) -> tuple[str, ...]:
         """One name per element of an observation."""
         return observation_names(self.settings.action_parameters)
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from navgym.auv.engine import Engine
 from navgym.auv.settings import AUVDropoutSettings
 from navgym.envs.faces import LaneEnv, LaneVectorEnv
+from navgym.problem import lazy
 
 
 class AUVDropoutEnv(LaneEnv):
@@ -98,12 +97,7 @@ class AUVDropoutEnv(LaneEnv):
 
     SETTINGS = AUVDropoutSettings
     ENGINE = Engine
-
-    def new_painter(self, mode: str) -> Any:
-        """Track, estimate, covariance ellipse, lost samples and parameters."""
-        from navgym.auv.painter import Painter
-
-        return Painter(mode)
+    PAINTER = lazy("navgym.auv.painter:Painter")
 
 
 class AUVDropoutVectorEnv(LaneVectorEnv):
@@ -117,3 +111,4 @@ class AUVDropoutVectorEnv(LaneVectorEnv):
 
     SETTINGS = AUVDropoutSettings
     ENGINE = Engine
+    PAINTER = lazy("navgym.auv.painter:Painter")

@@ -16,7 +16,7 @@ import numpy as np
 from navgym.core.compile import inline, kernel, part
 from navgym.core.health import NUMERICAL
 from navgym.envs.actions import bounded, foretold, log_square, place, set_parameters
-from navgym.envs.base import FREEDOM, HEARD, NIS_SUM, SCORE
+from navgym.envs.columns import FREEDOM, HEARD, NIS_SUM, SCORE
 from navgym.statespace.filters import kalman, qivbf
 from navgym.statespace.filters.lane import LOG_2PI, quadratic
 

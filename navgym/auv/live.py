@@ -14,7 +14,7 @@ from navgym.auv.intake import LinearIntake, Model, doubtful
 from navgym.auv.settings import AUVDropoutSettings
 from navgym.core.checks import Array
 from navgym.core.health import NUMERICAL
-from navgym.envs.base import TALLY
+from navgym.envs.columns import TALLY
 from navgym.envs.live import CONTROLLED, REFERENCE, LiveLane, pooled
 from navgym.statespace.filters import kalman, qivbf
 

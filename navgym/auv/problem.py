@@ -141,7 +141,15 @@ TRAINING = Training(
         "auv-b": Preset("a specialist for auv/switch-B", {"scenarios": ("auv/switch-B",)}),
         "auv-robust": Preset(
             "for any sea: conditions are drawn anew for each recording; what agents/pretrained holds",
-            {"randomise": True, "reward": "relative", "pool": 1500, "decisions": 2_000_000},
+            {
+                "randomise": True,
+                "untouched": 0.3,
+                "references": True,
+                "reward": "relative",
+                "pool": 2000,
+                "decisions": 3_000_000,
+                "ranges": {"chance": 0.3, "measurement_scale": (0.1, 100.0), "dwell": (5.0, 350.0)},
+            },
         ),
         # few observations, few units, half the range: what carries over from some tracks to others
         "auv-logs": Preset(

@@ -123,6 +123,10 @@ class AUVScenario:
         regimes: the conditions that follow one another, the next drawn uniformly among the others.
         dwell: least and largest number of samples spent in a regime.
         turns: unmodelled turns, or None.
+        sway: amplitude (m/s²) and period (s) of a sine that pushes each axis in a phase of its own, and
+            that no model knows of; None for none.
+        memory: correlation of measurement noise from one sample to the next, 0 to below 1; its size
+            stays.
         measurement_scale: multiplies every regime's measurement scale.
         process_scale: multiplies every regime's process scale.
         outlier_scale: replaces every regime's outlier scale, unless None.
@@ -139,6 +143,8 @@ class AUVScenario:
     regimes: tuple[Regime, ...] = (Regime(),)
     dwell: tuple[int, int] = (50, 150)
     turns: Turns | None = None
+    sway: tuple[float, float] | None = None
+    memory: float = 0.0
     measurement_scale: float = 1.0
     process_scale: float = 1.0
     outlier_scale: float | None = None
@@ -154,6 +160,7 @@ class AUVScenario:
                 'measured="beacon" brings a model that turns: leave one of them out.'
             )
         within("dt", self.dt, 0.0, above=True)
+        self._check_unmodelled()
         if not isinstance(self.loss, Loss):
             object.__setattr__(self, "loss", Loss(self.loss))
         if not self.regimes or not all(isinstance(r, Regime) for r in self.regimes):
@@ -165,6 +172,19 @@ class AUVScenario:
             if getattr(self, name) is not None:
                 within(name, getattr(self, name), 0.0, above=True)
         object.__setattr__(self, "reference", MappingProxyType(dict(self.reference)))
+
+    def _check_unmodelled(self) -> None:
+        """ValueError for a sway or a memory that cannot be."""
+        within("memory", self.memory, 0.0, 0.999)
+        if self.sway is None:
+            return
+        if self.measured == "beacon" or len(self.sway) != 2:
+            raise ValueError(
+                f"sway must be an amplitude (m/s²) and a period (s) for a vehicle with a linear model, got "
+                f'{self.sway!r} with measured="{self.measured}".'
+            )
+        for name, value in zip(("amplitude", "period"), self.sway, strict=True):
+            within(f"{name} of sway", value, 0.0, above=True)
 
     def __reduce__(self) -> tuple[Any, ...]:
         values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}

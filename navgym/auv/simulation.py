@@ -1,6 +1,6 @@
 """AUV recordings: tracks, noise regimes and losses.
 
-Each recording draws from four generators of its own (track, noise, loss, regime), so changing one
+Each recording draws from generators of its own (track, noise, loss, regime, sway), so changing one
 of them, say the loss rate, leaves the others' numbers as they were: comparisons across conditions
 are paired. Random numbers are drawn by numpy, recursions are compiled.
 """
@@ -38,14 +38,17 @@ def simulate(scenario: AUVScenario, seeds: Sequence[int]) -> list[Recording]:
     recordings = []
     for seed in seeds:
         split_of(seed)
-        track, noise, loss, order = (
-            np.random.default_rng(s) for s in np.random.SeedSequence([STREAM, seed]).spawn(4)
+        track, noise, loss, order, sway = (
+            np.random.default_rng(s) for s in np.random.SeedSequence([STREAM, seed]).spawn(5)
         )
         regime = sequence(len(regimes), scenario.dwell, scenario.steps, order)
         q = np.array([r.process_scale for r in regimes])[regime]
         r = _measurement_scales(regimes, regime, noise)
         truth = _track(scenario, model, square_roots, q, track)
+        if scenario.sway is not None:
+            truth = truth + swaying(time - scenario.dt, *scenario.sway, sway)
         v = noise.standard_normal((scenario.steps, model.m)) @ square_roots[2].T
+        v = remembering(v, scenario.memory)
         recordings.append(
             Recording(
                 time=time,
@@ -60,6 +63,34 @@ def simulate(scenario: AUVScenario, seeds: Sequence[int]) -> list[Recording]:
             )
         )
     return recordings
+
+
+def swaying(time: Array, amplitude: float, period: float, rng: np.random.Generator) -> Array:
+    """What a sinusoidal push adds to [px, vx, py, vy], (T, 4): from rest, each axis in its own phase.
+
+    Args:
+        time: (T,) s since it began.
+        amplitude: of the acceleration, m/s².
+        period: s.
+        rng: of the phases.
+    """
+    w, phase = 2.0 * math.pi / period, rng.uniform(0.0, 2.0 * math.pi, 2)
+    speed, t = amplitude / w, time[:, None]
+    added = np.empty((len(time), 4))
+    added[:, 1::2] = speed * (np.sin(w * t + phase) - np.sin(phase))
+    swing = -speed / w * (np.cos(w * t + phase) - np.cos(phase))
+    added[:, ::2] = swing - speed * np.sin(phase) * t
+    return added
+
+
+def remembering(noise: Array, memory: float) -> Array:
+    """White noise (T, m) as one of which each value holds `memory` of the last: as large as before."""
+    if memory == 0.0:
+        return noise
+    found, fresh = noise.copy(), math.sqrt(1.0 - memory**2)
+    for k in range(1, len(found)):
+        found[k] = memory * found[k - 1] + fresh * noise[k]
+    return found
 
 
 def _effective(regime: Regime, scenario: AUVScenario) -> Regime:

@@ -17,7 +17,8 @@ from navgym.deck.filters import columns_of, full_table, identify_lane
 from navgym.deck.mechanization import TAPE
 from navgym.deck.recording import DualIMURecording
 from navgym.deck.settings import FEATURES, DeckDeformationSettings
-from navgym.envs.base import TERMINATED, LaneEngine, Shelf
+from navgym.envs.base import LaneEngine, Shelf
+from navgym.envs.columns import TERMINATED
 from navgym.inertial.flexure import FlexureModel
 
 SIGNALS = ("alarm", "persistence", "rejected")
@@ -60,7 +61,7 @@ class DeckEngine(LaneEngine):
         return K.decide
 
     @property
-    def observation_names(self) -> tuple[str, ...]:
+    def features(self) -> tuple[str, ...]:
         """One name per element of an observation."""
         return observation_names(self.settings)
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from navgym.deck.engine import DeckEngine
 from navgym.deck.settings import DeckDeformationSettings
 from navgym.envs.faces import LaneEnv, LaneVectorEnv
+from navgym.problem import lazy
 
 
 class DeckDeformationEnv(LaneEnv):
@@ -100,12 +99,7 @@ class DeckDeformationEnv(LaneEnv):
 
     SETTINGS = DeckDeformationSettings
     ENGINE = DeckEngine
-
-    def new_painter(self, mode: str) -> Any:
-        """Strips of θ with its bound, θ̇, kernel weights, parameters and sea state."""
-        from navgym.deck.painter import DeckPainter
-
-        return DeckPainter(mode)
+    PAINTER = lazy("navgym.deck.painter:DeckPainter")
 
 
 class DeckDeformationVectorEnv(LaneVectorEnv):
@@ -119,3 +113,4 @@ class DeckDeformationVectorEnv(LaneVectorEnv):
 
     SETTINGS = DeckDeformationSettings
     ENGINE = DeckEngine
+    PAINTER = lazy("navgym.deck.painter:DeckPainter")

@@ -16,7 +16,7 @@ from navgym.deck import alignment, spaces
 from navgym.deck.alignment import AT, MEASUREMENTS, STATES
 from navgym.deck.mechanization import mechanize_next
 from navgym.envs.actions import bounded, foretold, log_square, place, set_parameters
-from navgym.envs.base import (
+from navgym.envs.columns import (
     FREEDOM,
     HEARD,
     INFORMATION,

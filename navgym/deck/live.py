@@ -19,7 +19,7 @@ from navgym.deck.filters import full_table
 from navgym.deck.intake import Intake
 from navgym.deck.model import DeckModel
 from navgym.deck.settings import DeckDeformationSettings
-from navgym.envs.base import TALLY
+from navgym.envs.columns import TALLY
 from navgym.envs.live import LiveEstimate, LiveLane, pooled
 
 

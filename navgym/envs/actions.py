@@ -37,6 +37,31 @@ def action_table(space: ParameterSpace, names: Iterable[str], row: Array, residu
     return np.array(rows, dtype=np.float64)
 
 
+def restlessness(before: Array, after: Array, table: Array) -> Array:
+    """How far parameters moved, (N,): mean |Δ| on their own scales, mostly logarithms.
+
+    Args:
+        before: (N, P) physical parameters.
+        after: (N, P).
+        table: of the parameters that count; see `action_table`.
+    """
+    moved = [
+        np.abs(_warped(after[:, int(row[0])], row[5]) - _warped(before[:, int(row[0])], row[5]))
+        for row in table
+    ]
+    found: Array = np.mean(moved, axis=0)
+    return found
+
+
+def _warped(values: Array, code: float) -> Array:
+    found: Array = values
+    if code == 1.0:
+        found = np.log(values)
+    elif code == 2.0:
+        found = -np.log(1.0 - values)
+    return found
+
+
 @part
 def bounded(value):
     """`value` inside plus or minus `LIMIT`; what is not a number counts as the worst."""

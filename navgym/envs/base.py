@@ -19,18 +19,11 @@ from numpy.typing import NDArray
 from navgym.core.checks import Array, positive_int
 from navgym.core.compile import entry
 from navgym.core.seeds import SIZE, seeds
-from navgym.envs.actions import LIMIT, action_table
+from navgym.envs.actions import LIMIT, action_table, restlessness
+from navgym.envs.columns import INFORMATION, REWARD
 from navgym.envs.settings import LaneSettings
 from navgym.simulation import find_scenario, simulate_many
 from navgym.tuned import read_tuned
-
-# the first columns of a decision's outcome, in every engine; information follows
-REWARD, TERMINATED, TRUNCATED, INFORMATION = range(4)
-
-# what a live lane adds up between two decisions: samples in which something was received, NIS of the
-# controlled filter, its degrees of freedom, and how well both filters foretold what came in
-HEARD, NIS_SUM, FREEDOM, SCORE, REFERENCE_SCORE = range(5)
-TALLY = 5
 
 
 @dataclass(eq=False)
@@ -88,6 +81,7 @@ class LaneEngine:
         self.count = positive_int("num_envs", lanes)
         self._scenarios = self._find_scenarios()
         self.reference = self._reference_of(self._scenarios[0])
+        self._regimes = self._count_regimes()
         self._generators: list[np.random.Generator] = [
             np.random.default_rng() for _ in range(lanes)
         ]
@@ -96,6 +90,7 @@ class LaneEngine:
         self.shelf = self._shared or self._empty_shelf(lanes)
         self.table = self._action_table()
         self._actions = np.zeros((lanes, len(self.table)), dtype=np.float32)
+        self._centres: Array | None = None if self._alike() else np.zeros(self._actions.shape)
         self._outcomes = np.zeros((lanes, INFORMATION + len(self.INFO_NAMES) + len(self.space)))
         self._allocate(trail)
         self._decide: Callable[..., Any] | None = None
@@ -143,16 +138,64 @@ class LaneEngine:
         raise NotImplementedError
 
     @property
+    def features(self) -> tuple[str, ...]:
+        """One name per element of an observation that the kernel writes."""
+        raise NotImplementedError
+
+    # ---- what an agent sees beyond what the kernel writes --------------------------------
+
+    @property
     def observation_names(self) -> tuple[str, ...]:
         """One name per element of an observation."""
-        raise NotImplementedError
+        return (*self.features, *(f"regime.{i}" for i in range(self._regimes)))
+
+    def _count_regimes(self) -> int:
+        """How many true regimes an observation tells of: none where they are hidden."""
+        if self.settings.context == "hidden":
+            return 0
+        given = self.settings.recordings
+        if given is None:
+            return max(len(getattr(s, "regimes", ())) or 1 for s in self._scenarios)
+        known = [r.meta.get("regimes") for r in given]
+        if any(k is None or r.regime is None for k, r in zip(known, given, strict=True)):
+            raise ValueError(
+                'context="regime" needs the true regimes, which these recordings lack: use '
+                'context="hidden".'
+            )
+        return max(map(len, known))
+
+    def _tell_regime(self, i: int, observation: NDArray[np.float32]) -> None:
+        """Write the true regime of lane i's latest sample at the end of its observation."""
+        if self._regimes:
+            station = self.stations[i]
+            tape = self.shelf.tapes[int(station["which"])]
+            regime = tape[max(int(station["k"]) - 1, 0)]["regime"]
+            observation[-self._regimes :] = np.arange(self._regimes) == regime
 
     # ---- actions ---------------------------------------------------------------------------
 
     def _action_table(self) -> Array:
         chosen = self.settings
         names, residual = chosen.action_parameters, chosen.action == "residual"
-        return action_table(self.space, names, self._row(self.reference), residual)
+        return action_table(
+            self.space, names, self._row(self.reference), residual and self._alike()
+        )
+
+    def _alike(self) -> bool:
+        """Whether residual actions start from the same parameters in every recording."""
+        if self.settings.action != "residual":
+            return True
+        if self._shared is not None:
+            rows = self._shared.stations["row"]
+        else:
+            rows = np.stack([self._row(self._reference_of(s)) for s in self._scenarios])
+        return bool((rows == self._row(self.reference)).all())
+
+    def _start_of(self, row: Array) -> Array:
+        """Where parameters (P,) stand in what actions of `table` make, (k,)."""
+        own = action_table(self.space, self.settings.action_parameters, row, residual=True)
+        found: Array = (own[:, 1] - self.table[:, 1]) / self.table[:, 2]
+        return found
 
     @property
     def info_fields(self) -> tuple[str, ...]:
@@ -185,9 +228,30 @@ class LaneEngine:
             chosen = {} if self.settings.recordings is not None else scenario.reference
         elif isinstance(chosen, (str, os.PathLike)):
             chosen = read_tuned(chosen).parameters
+        elif not isinstance(chosen, Mapping):
+            chosen = self._each_reference()[0]
         if len(self.space.array(chosen)) > 1:
             raise ValueError(f"reference must hold one number per parameter, got {chosen!r}.")
         return self.space.defaults | dict(chosen)
+
+    def _each_reference(self) -> Sequence[Mapping[str, Any]]:
+        """The reference of each recording, where they were given as a list; ValueError for another number."""
+        given: Any = self.settings.reference
+        wanted = self.settings.recordings
+        if wanted is None or len(given) != len(wanted):
+            raise ValueError(
+                f"reference must be one set of parameters, or with recordings= one for each: got "
+                f"{len(given)} for {'none' if wanted is None else len(wanted)}."
+            )
+        found: Sequence[Mapping[str, Any]] = given
+        return found
+
+    def _rows(self, count: int) -> list[Array]:
+        """The reference's parameters for each of `count` recordings that were given."""
+        chosen = self.settings.reference
+        if chosen is None or isinstance(chosen, (Mapping, str, os.PathLike)):
+            return [self._row(self.reference)] * count
+        return [self._row(self.space.defaults | dict(each)) for each in self._each_reference()]
 
     def check_truth(self, truth: Array | None) -> None:
         """ValueError where the reward needs a truth that recordings lack."""
@@ -206,7 +270,7 @@ class LaneEngine:
         if given is not None:
             if not len(given):
                 raise ValueError("recordings must hold at least one recording, got none.")
-            return self.prepare(list(given), [self._row(self.reference)] * len(given))
+            return self.prepare(list(given), self._rows(len(given)))
         if self.settings.pool is None:
             return None
         each = -(-self.settings.pool // len(self._scenarios))
@@ -267,7 +331,11 @@ class LaneEngine:
         station[...] = self.shelf.stations[which]
         station["which"] = which
         self.trail[i] = np.nan
-        return self._start_lane(i, which, start)
+        if self._centres is not None:
+            self._centres[i] = self._start_of(station["row"][0])
+        first = self._start_lane(i, which, start)
+        self._tell_regime(i, first)
+        return first
 
     def label(self, i: int) -> dict[str, Any]:
         """What lane i's recording is: scenario, seed, number in the pool."""
@@ -288,13 +356,22 @@ class LaneEngine:
                 f"got {got[1:] if single else got}."
             )
         self._actions[...] = actions  # the kernel is entered without a check of types
+        if self._centres is not None:
+            self._actions[...] = np.clip(self._actions, -1.0, 1.0) + self._centres
         out = self._outcomes
         out[...] = 0.0
         arguments = (*self._world, obs, out, self.trail)
         if self._decide is None:
             self._decide = entry(self.kernel, arguments)
+        before = self.stations["row"].copy() if self.settings.jitter else None
         if not self._decide(*arguments):
             raise ValueError(f"action must be numbers in -1..1, got {actions}.")
+        if before is not None:
+            moved = restlessness(before, self.stations["row"], self.table)
+            out[:, REWARD] -= self.settings.jitter * moved
+        if self._regimes:
+            for i in np.flatnonzero(self.stations["active"]).tolist():
+                self._tell_regime(i, obs[i])
         return out
 
     def snapshot(self) -> dict[str, NDArray[Any]]:

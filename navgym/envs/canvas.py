@@ -12,6 +12,28 @@ TRUTH, ESTIMATE, LOST = "#444444", "#0a6ebd", "#d1495b"
 DPI = 100
 
 
+class OneLane:
+    """Lane i of an engine as if it were the only one: what a painter, who draws lane 0, is shown.
+
+    Args:
+        engine: with any number of lanes.
+        lane: which.
+    """
+
+    def __init__(self, engine: Any, lane: int) -> None:
+        self._engine, self._lane = engine, lane
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(self._engine, name)
+        by_lane = name in ("stations", "lanes", "trail", "models", "believed")
+        return found[self._lane : self._lane + 1] if by_lane else found
+
+    def label(self, _: int) -> dict[str, Any]:
+        """What the lane's recording is."""
+        found: dict[str, Any] = self._engine.label(self._lane)
+        return found
+
+
 class Canvas:
     """A figure that is drawn anew for each picture, off screen ("rgb_array") or in a window ("human").
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import gymnasium
@@ -15,7 +15,9 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from navgym.core.checks import one_of
-from navgym.envs.base import INFORMATION, REWARD, TERMINATED, TRUNCATED, LaneEngine
+from navgym.envs.base import LaneEngine
+from navgym.envs.canvas import OneLane
+from navgym.envs.columns import INFORMATION, REWARD, TERMINATED, TRUNCATED
 from navgym.envs.settings import LaneSettings, argument_manual, signature
 
 Observation = NDArray[np.float32]
@@ -35,6 +37,7 @@ class LaneEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     SETTINGS: ClassVar[type[LaneSettings]]
     ENGINE: ClassVar[type[LaneEngine]]
+    PAINTER: ClassVar[Callable[[str], Any]]  # what draws a lane, from a render mode
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # noqa: RUF012
 
@@ -56,10 +59,6 @@ class LaneEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._over = True
         self._painter: Any = None
         self._history: list[list[float]] = []
-
-    def new_painter(self, mode: str) -> Any:
-        """What draws this kind of environment."""
-        raise NotImplementedError
 
     def reset(
         self,
@@ -109,7 +108,7 @@ class LaneEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             gymnasium.logger.warn("render() needs render_mode='rgb_array' or 'human' in gym.make.")
             return None
         if self._painter is None:
-            self._painter = self.new_painter(self.render_mode)
+            self._painter = type(self).PAINTER(self.render_mode)
         return self._painter.paint(self.engine, self._history)
 
     def close(self) -> None:
@@ -132,13 +131,17 @@ class LaneVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
         autoreset_mode: "NextStep"; "SameStep", where the step that ends an episode resets the lane and
             `infos` hold `final_obs` and `final_info`; "Disabled", where
             `reset(options={"reset_mask": ended})` does.
-        arguments: those of the single environment, but for `render_mode`.
+        render_mode: "rgb_array" or None.
+        arguments: those of the single environment.
     """
 
     SETTINGS: ClassVar[type[LaneSettings]]
     ENGINE: ClassVar[type[LaneEngine]]
+    PAINTER: ClassVar[Callable[[str], Any]]  # what draws a lane, from a render mode
 
-    metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+    metadata = {  # noqa: RUF012
+        "render_modes": ["rgb_array"], "render_fps": 10, "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }  # fmt: skip
 
     def __init__(
         self,
@@ -149,13 +152,17 @@ class LaneVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
     ) -> None:
         self._mode = _checked_mode(autoreset_mode)
         self.metadata = self.metadata | {"autoreset_mode": self._mode}
-        if arguments.pop("render_mode", None) is not None:
-            raise ValueError("the vector environment does not render: use gym.make for one lane.")
-        self.engine = self.ENGINE(
-            self.SETTINGS(**setting_arguments(self.SETTINGS, arguments)), num_envs
-        )
+        self.render_mode = arguments.pop("render_mode", None)
+        if self.render_mode not in (None, "rgb_array"):
+            raise ValueError(
+                f"render_mode of a batch must be 'rgb_array' or None, got {self.render_mode!r}: for a "
+                "window use gym.make, which has one lane."
+            )
+        settings = self.SETTINGS(**setting_arguments(self.SETTINGS, arguments))
+        self.engine = self.ENGINE(settings, num_envs, trail=self.render_mode is not None)
+        self._painter: Any = None
+        self._history: list[list[list[float]]] = [[] for _ in range(num_envs)]
         self.num_envs = num_envs
-        self.render_mode = None
         self.single_observation_space, self.single_action_space = spaces_of(self.engine)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -218,6 +225,7 @@ class LaneVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
     def _restart(self, i: int, **options: int) -> None:
         self._observations[i] = self.engine.restart(i, **options)
         self._steps[i], self._done[i] = 0, False
+        self._history[i] = []
 
     def step(
         self, actions: NDArray[np.float32]
@@ -237,6 +245,7 @@ class LaneVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
         engine.stations["active"] = ~fresh
         out = engine.step(np.asarray(actions), self._observations)
         infos = self._restarted(fresh)
+        self._remember(out, ~fresh)
         self._steps[~fresh] += 1
         terminated, truncated = out[:, TERMINATED] > 0.0, out[:, TRUNCATED] > 0.0
         if self._limit is not None:
@@ -252,6 +261,23 @@ class LaneVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
         else:
             infos |= self._information(out, ~fresh)
         return self._observations.copy(), out[:, REWARD].copy(), terminated, truncated, infos
+
+    def _remember(self, out: NDArray[np.float64], which: NDArray[np.bool_]) -> None:
+        """Keep the parameters that were in force, for pictures."""
+        if self.render_mode is not None:
+            rows = out[:, INFORMATION + len(self.engine.INFO_NAMES) :].tolist()
+            for i in map(int, np.flatnonzero(which)):
+                self._history[i].append(rows[i])
+
+    def render(self) -> tuple[Any, ...] | None:
+        """A picture of each lane so far, (height, width, 3) bytes; needs `render_mode="rgb_array"`."""
+        if self.render_mode is None:
+            gymnasium.logger.warn("render() needs render_mode='rgb_array' in gym.make_vec.")
+            return None
+        if self._painter is None:
+            self._painter = type(self).PAINTER(self.render_mode)
+        lanes = ((OneLane(self.engine, i), rows) for i, rows in enumerate(self._history))
+        return tuple(self._painter.paint(lane, rows) for lane, rows in lanes)
 
     def _restarted(self, which: NDArray[np.bool_]) -> dict[str, Any]:
         """Reset some lanes; their infos."""

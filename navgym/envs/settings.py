@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from navgym.core.checks import one_of, positive_int
+from navgym.core.checks import one_of, positive_int, within
 from navgym.core.parameters import ParameterSpace
 from navgym.core.seeds import seeds
 
@@ -32,9 +32,14 @@ class LaneSettings:
         action: "absolute" or "residual".
         reference: parameters of the reference filter; by default the scenario's best fixed ones,
             or the filter's defaults for recordings of your own. With several scenarios each has
-            its own; residual actions start from the first one's.
+            its own, and with `recordings` a list gives each its own; residual actions start from
+            those of the recording that is played.
         reward: what is paid, see above.
         reward_clip: bound on the reward.
+        jitter: subtracted from the reward, after its clip, per mean |Δ| of the agent's parameters from
+            one decision to the next, each on its own scale (mostly its logarithm).
+        context: "hidden", or "regime": observations end with the true regime, one-hot. For analysis
+            only: nobody knows it at sea, and live filters refuse a policy that reads it.
     """
 
     scenario: Any
@@ -45,9 +50,13 @@ class LaneSettings:
     decision_interval: int = 1
     action_parameters: str | Sequence[str] = ()
     action: str = "absolute"
-    reference: Mapping[str, Any] | str | os.PathLike[str] | None = None
+    reference: Mapping[str, Any] | str | os.PathLike[str] | Sequence[Mapping[str, Any]] | None = (
+        None
+    )
     reward: str = ""
     reward_clip: float = 20.0
+    jitter: float = 0.0
+    context: str = "hidden"
 
     FILTER: ClassVar[str]  # whose parameters the agent sets
     SPACE: ClassVar[ParameterSpace]
@@ -57,7 +66,7 @@ class LaneSettings:
     # fields that decide what an agent sees and sets; the others are about rewards and about where
     # recordings come from
     SEEN: ClassVar[tuple[str, ...]] = (
-        "decision_interval", "action_parameters", "action", "reference",
+        "decision_interval", "action_parameters", "action", "reference", "context",
     )  # fmt: skip
     BLIND: ClassVar[str] = "likelihood"  # the reward that asks for no truth
 
@@ -65,6 +74,8 @@ class LaneSettings:
         positive_int("decision_interval", self.decision_interval)
         one_of("action", self.action, ("absolute", "residual"))
         one_of("reward", self.reward, self.REWARDS)
+        one_of("context", self.context, ("hidden", "regime"))
+        within("jitter", self.jitter, 0.0)
         seeds(self.split, 0)
         if not self.reward_clip > 0.0:
             raise ValueError(f"reward_clip must be positive, got {self.reward_clip}.")

@@ -57,7 +57,7 @@ class InsEngine(LaneEngine):
         return K.decide
 
     @property
-    def observation_names(self) -> tuple[str, ...]:
+    def features(self) -> tuple[str, ...]:
         """One name per element of an observation."""
         return observation_names(self.settings)
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from navgym.envs.faces import LaneEnv, LaneVectorEnv
 from navgym.ins.engine import InsEngine
 from navgym.ins.settings import INSDropoutSettings
+from navgym.problem import lazy
 
 
 class INSDropoutEnv(LaneEnv):
@@ -105,12 +104,7 @@ class INSDropoutEnv(LaneEnv):
 
     SETTINGS = INSDropoutSettings
     ENGINE = InsEngine
-
-    def new_painter(self, mode: str) -> Any:
-        """The track, velocity errors with their deviation, silence, and parameters."""
-        from navgym.ins.painter import InsPainter
-
-        return InsPainter(mode)
+    PAINTER = lazy("navgym.ins.painter:InsPainter")
 
 
 class INSDropoutVectorEnv(LaneVectorEnv):
@@ -124,3 +118,4 @@ class INSDropoutVectorEnv(LaneVectorEnv):
 
     SETTINGS = INSDropoutSettings
     ENGINE = InsEngine
+    PAINTER = lazy("navgym.ins.painter:InsPainter")

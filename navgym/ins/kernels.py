@@ -13,7 +13,7 @@ import numpy as np
 
 from navgym.core.compile import kernel, part
 from navgym.envs.actions import bounded, foretold, log_square, place, set_parameters
-from navgym.envs.base import (
+from navgym.envs.columns import (
     FREEDOM,
     HEARD,
     INFORMATION,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navgym.core.checks import Array, one_of, real_array, within
-from navgym.envs.base import TALLY
+from navgym.envs.columns import TALLY
 from navgym.envs.live import LiveLane, checked_time, flags, pooled, since
 from navgym.inertial.preintegration import preintegrate
 from navgym.ins import filtering

@@ -13,7 +13,7 @@ from navgym.agents.evaluation.baselines import (
 )
 from navgym.agents.evaluation.rollout import Learnt, engine_for, replay_filter, roll_out
 from navgym.deck.batch import DeckBatch
-from navgym.envs.base import INFORMATION, TERMINATED, TRUNCATED
+from navgym.envs.columns import INFORMATION, TERMINATED, TRUNCATED
 from navgym.problem import PROBLEMS, problem_of
 from navgym.simulation import find_scenario, simulate_many
 from navgym.statespace.batch import StateSpaceBatch

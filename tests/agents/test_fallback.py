@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from navgym.agents.live.fallback import FallbackRule, Guard
-from navgym.envs.base import FREEDOM, HEARD, NIS_SUM, REFERENCE_SCORE, SCORE, TALLY
+from navgym.envs.columns import FREEDOM, HEARD, NIS_SUM, REFERENCE_SCORE, SCORE, TALLY
 
 LOW, HIGH = np.array([-1.0, 10.0]), np.array([1.0, 10.5])
 INSIDE = np.array([0.0, 10.2], dtype=np.float32)

@@ -1,5 +1,7 @@
 """Recordings to train on: their seeds, their conditions, their memory."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ pytest.importorskip("tomli_w")
 
 from navgym.agents.training.material import material, recording
 from navgym.agents.training.randomisation import drawn
+from navgym.agents.training.references import HOPELESS
 from navgym.agents.training.validation import Validation
 from navgym.auv.conditions import AUVRanges
 from navgym.core.seeds import seeds
@@ -157,3 +160,30 @@ def test_the_relative_reward_is_the_difference_in_units_of_the_oracle(tmp_path):
     assert inside.sum() >= 4
     ratio = (rewards[0] / np.array(variances, dtype=np.float32))[inside]
     np.testing.assert_allclose(rewards[1][inside], ratio, rtol=1e-5)
+
+
+class TestReferences:
+    def test_each_recording_starts_from_one_of_the_table_and_mostly_from_what_suits_it(
+        self, tmp_path
+    ):
+        config = tiny(tmp_path, references=True, randomise=True, pool=40, reward="relative")
+        engine = material(config).env.engine
+        rows = np.unique(engine.shelf.stations["row"], axis=0)
+        assert len(rows) > 5
+        plain = material(dataclasses.replace(config, references=False)).env.engine
+        own, other = (e.shelf.tapes["reference_error"].mean(axis=1) for e in (engine, plain))
+        assert (
+            own <= HOPELESS**2 * other * (1 + 1e-9)
+        ).all()  # of the best, so of the usual one too
+        assert (own < other).mean() > 0.2
+
+    def test_it_depends_on_the_seed_alone(self, tmp_path):
+        config = tiny(tmp_path, references=True)
+        one, other = (material(config).env.engine.shelf.stations["row"] for _ in range(2))
+        np.testing.assert_array_equal(one, other)
+
+    def test_a_share_of_recordings_is_left_as_the_scenario_is(self, tmp_path):
+        config = tiny(tmp_path, randomise=True, untouched=0.3, ranges={"chance": 1.0})
+        wholes = [recording(config, i, i).meta["regimes"] for i in range(100)]
+        usual = find_scenario("auv/switch-D")
+        assert sum(w == [r.name for r in usual.regimes] for w in wholes) == 30

@@ -17,8 +17,9 @@ from navgym.agents.policies.manifest import Manifest
 from navgym.agents.policies.policy import Normalisation, Policy, located
 from navgym.auv.engine import Engine
 from navgym.auv.settings import AUVDropoutSettings
-from navgym.envs.base import INFORMATION
+from navgym.envs.columns import INFORMATION
 from tests.agents.hand_made import forged
+from tests.agents.hand_made import policy as hand_made
 
 AUV, DECK = "navgym/AUVDropout-v0", "navgym/DeckDeformation-v0"
 ACTIONS = ("process_noise_scale", "forgetting", "vb_iterations")
@@ -352,7 +353,7 @@ class TestWhatItIsFor:
         assert manifest.reference == engine.reference
         assert manifest.filter == "qivbf"
         made = gymnasium.make(AUV, **manifest.settings).unwrapped.engine
-        np.testing.assert_array_equal(made.table, engine.table)
+        assert made.reference == engine.reference
 
     def test_a_scenario_object_is_written_by_name(self):
         scenario = navgym.simulation.find_scenario("auv/heavy", steps=20)
@@ -400,3 +401,40 @@ def test_a_problem_that_no_policy_is_shipped_for_is_told_so():
             ask("ins")
     with pytest.raises(ValueError, match="no policy for 'ins'"):
         agents.shipped("ins")
+
+
+class TestAnotherReference:
+    def test_actions_start_from_the_reference_that_it_is_put_around(self, tmp_path):
+        policy = agents.shipped("auv")
+        path = tmp_path / "tuned.toml"
+        path.write_text(
+            'filter = "qivbf"\n[parameters]\nprocess_noise_scale = 3.0\nforgetting = 0.95\n'
+        )
+        own = policy.with_reference(path).silent()
+        row = own.parameters(np.zeros(len(own.low)))
+        space = own.manifest.whole_space
+        assert row[space.index("process_noise_scale")] == pytest.approx(3.0)
+        assert row[space.index("forgetting")] == pytest.approx(0.95)
+        assert own.manifest.training["references_since"] == "tuned.toml"
+        kept = Policy.load(own.save(tmp_path / "own"))
+        assert kept.manifest.reference == own.manifest.reference
+        live = agents.SelfTuningFilter("qivbf", kept, navgym.LinearModel())
+        found = live.step(np.zeros(4))
+        assert found.parameters["forgetting"] == pytest.approx(0.95)
+
+    def test_parameters_of_another_filter_and_absolute_policies_are_refused(self, tmp_path):
+        path = tmp_path / "tuned.toml"
+        path.write_text('filter = "kf"\n[parameters]\nprocess_noise_scale = 3.0\n')
+        with pytest.raises(ValueError, match="filter of the reference"):
+            agents.shipped("auv").with_reference(path)
+        with pytest.raises(ValueError, match="forgettin"):
+            agents.shipped("auv").with_reference({"forgettin": 0.9})
+        absolute = hand_made("navgym/AUVDropout-v0", "auv/switch-D", action="absolute")
+        with pytest.raises(ValueError, match="outright"):
+            absolute.with_reference({"forgetting": 0.9})
+
+    def test_a_policy_that_reads_the_true_regime_is_refused_at_sea(self):
+        seer = hand_made("navgym/AUVDropout-v0", "auv/switch-D", context="regime")
+        assert seer.manifest.observation_names[-1] == "regime.2"
+        with pytest.raises(ValueError, match="nobody knows at sea"):
+            agents.SelfTuningFilter("qivbf", seer, navgym.LinearModel())

@@ -330,6 +330,8 @@ CHANGES = {
     "regimes": (Regime("a", 2.0), Regime("b", outlier_rate=0.5)),
     "dwell": (3, 7),
     "turns": Turns(),
+    "sway": (0.2, 30.0),
+    "memory": 0.5,
     "measurement_scale": 4.0,
     "process_scale": 9.0,
     "outlier_scale": 7.0,
@@ -397,3 +399,49 @@ def test_a_thousand_recordings_of_800_steps_take_seconds():
     began = time.perf_counter()
     simulate_many("auv/switch-B", range(1000))
     assert time.perf_counter() - began < 6.0
+
+
+def test_a_sway_adds_a_sine_that_starts_from_rest_and_leaves_all_else():
+    """The difference to the same recording without it is the double integral of A sin(wt + phase)."""
+    amount, period = 0.3, 20.0
+    plain, pushed = (
+        navgym.simulate("auv/nominal", 3, steps=400, dt=0.5, sway=sway)
+        for sway in (None, (amount, period))
+    )
+    added = pushed.truth - plain.truth
+    moved = (pushed.measurements - plain.measurements)[~plain.lost.any(axis=1)]
+    np.testing.assert_allclose(moved, added[~plain.lost.any(axis=1)], atol=1e-9)
+    np.testing.assert_array_equal(pushed.lost, plain.lost)
+    t = plain.time
+    for position, velocity in ((0, 1), (2, 3)):
+        acceleration = np.gradient(added[:, velocity], t)[2:-2]
+        assert np.abs(acceleration).max() == pytest.approx(amount, rel=0.02)
+        spectrum = np.abs(np.fft.rfft(acceleration - acceleration.mean()))
+        assert np.argmax(spectrum) == round(len(acceleration) * 0.5 / period)
+        moved = np.gradient(added[:, position], t)[2:-2]
+        np.testing.assert_allclose(moved, added[2:-2, velocity], atol=0.02)
+        assert added[0, velocity] == added[0, position] == 0.0
+
+
+def test_noise_with_a_memory_is_as_large_and_as_correlated_as_said():
+    recording = navgym.simulate("auv/nominal", 1, steps=60_000, memory=0.8, loss=0.0)
+    noise = recording.measurements - recording.truth
+    deviations = np.sqrt(np.diag(recording.model.R))
+    np.testing.assert_allclose(noise.std(axis=0), deviations, rtol=0.03)
+    for lag in (1, 3):
+        each = [np.corrcoef(c[lag:], c[:-lag])[0, 1] for c in noise.T]
+        np.testing.assert_allclose(each, 0.8**lag, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"memory": 1.0}, "memory must"),
+        ({"sway": (0.1, 0.0)}, "period of sway"),
+        ({"sway": (0.1,)}, "amplitude .* and a period"),
+        ({"sway": (0.1, 20.0), "measured": "beacon"}, "linear model"),
+    ],
+)
+def test_a_sway_or_a_memory_that_cannot_be_is_refused(fields, said):
+    with pytest.raises(ValueError, match=said):
+        CATALOGUE["nominal"].override(**fields)

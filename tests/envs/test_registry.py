@@ -219,3 +219,74 @@ class TestEveryEnvironment:
         assert picture.dtype == np.uint8
         assert picture.ndim == 3
         assert picture.std() > 1.0
+
+    def test_a_batch_draws_each_lane_as_a_single_environment_would(self, name):
+        pytest.importorskip("matplotlib")
+        batch = gymnasium.make_vec(name, num_envs=2, render_mode="rgb_array")
+        single = make(name, render_mode="rgb_array")
+        batch.reset(seed=4)
+        single.reset(seed=5)
+        for action in some_actions(single, 3):
+            batch.step(np.stack([action, action]))
+            single.step(action)
+        pictures = batch.render()
+        assert len(pictures) == 2
+        np.testing.assert_array_equal(pictures[1], single.render())
+        assert not np.array_equal(*pictures)
+        batch.close()
+
+    def test_the_true_regime_is_shown_only_where_it_is_asked_for(self, name):
+        hidden, told = make(name), make(name, context="regime")
+        before, after = (env.reset(seed=2)[0] for env in (hidden, told))
+        count = len(after) - len(before)
+        assert count >= 1
+        for action in some_actions(hidden, 30):
+            before, after = hidden.step(action), told.step(action)
+            np.testing.assert_array_equal(after[0][:-count], before[0])
+            np.testing.assert_array_equal(after[0][-count:], np.arange(count) == after[4]["regime"])
+            assert after[1] == before[1]
+            if after[2] or after[3]:
+                break
+
+    def test_jitter_costs_as_far_as_parameters_move_and_nothing_where_they_stand(self, name):
+        quiet, dear = make(name), make(name, jitter=0.5)
+        for env in (quiet, dear):
+            env.reset(seed=3)
+        first, last = some_actions(quiet, 2)
+        rows = []
+        for action in (first, first, last):
+            a, b = quiet.step(action), dear.step(action)
+            rows.append([a[4][n] for n in dear.engine.settings.action_parameters])
+            cost = a[1] - b[1]
+            if len(rows) > 1:
+                space = dear.engine.space
+                ways = [
+                    abs(space[n].warp(x) - space[n].warp(y))
+                    for n, x, y in zip(
+                        dear.engine.settings.action_parameters, *rows[-2:], strict=True
+                    )
+                ]
+                assert cost == pytest.approx(0.5 * np.mean(ways), abs=1e-9)
+        assert rows[0] == rows[1] != rows[2]
+
+    def test_residual_actions_start_from_the_reference_of_the_recording_that_is_played(self, name):
+        env = make(name)
+        steered = env.engine.settings.action_parameters
+        space, scenario = env.engine.space, env.engine._scenarios[0]
+        recordings = [navgym.simulate(scenario, seed=seed) for seed in (1, 2)]
+        ends = [
+            {n: space[n].show(space[n].unwarp(s * space[n].warp(space[n].high) + (1 - s) * space[n].warp(space[n].low)))
+             for n in steered}
+            for s in (0.25, 0.75)
+        ]  # fmt: skip
+        env = make(name, recordings=recordings, reference=ends, action="residual")
+        for i, values in enumerate(ends):
+            env.reset(seed=0, options={"recording": i})
+            info = env.step(np.zeros(len(steered), np.float32))[4]
+            assert [info[n] for n in steered] == pytest.approx(list(values.values()), rel=1e-4)
+            alone = make(name, recording=recordings[i], reference=values, action="residual")
+            alone.reset(seed=0)
+            same = alone.step(np.zeros(len(steered), np.float32))[4]
+            assert [info[n] for n in steered] == pytest.approx([same[n] for n in steered], rel=1e-4)
+        with pytest.raises(ValueError, match="reference must be one set of parameters, or"):
+            make(name, recordings=recordings, reference=ends[:1], action="residual")

@@ -5,8 +5,9 @@ import math
 import numpy as np
 
 from navgym.core.checks import within
-from navgym.envs.base import TALLY, LaneEngine, Shelf
+from navgym.envs.base import LaneEngine, Shelf
 from navgym.envs.canvas import Canvas
+from navgym.envs.columns import TALLY
 from navgym.envs.faces import LaneEnv, LaneVectorEnv
 from navgym.envs.live import LiveLane
 from tests.toy import kernels as K
@@ -35,7 +36,7 @@ class WalkEngine(LaneEngine):
     kernel = K.decide
 
     @property
-    def observation_names(self):
+    def features(self):
         return observation_names(self.settings.action_parameters)
 
     def _allocate(self, trail):
@@ -154,9 +155,7 @@ class ToyWalkEnv(LaneEnv):
 
     SETTINGS = ToyWalkSettings
     ENGINE = WalkEngine
-
-    def new_painter(self, mode):
-        return WalkPainter(mode)
+    PAINTER = WalkPainter
 
 
 class ToyWalkVectorEnv(LaneVectorEnv):
@@ -164,6 +163,7 @@ class ToyWalkVectorEnv(LaneVectorEnv):
 
     SETTINGS = ToyWalkSettings
     ENGINE = WalkEngine
+    PAINTER = WalkPainter
 
 
 class LiveWalk(LiveLane):

@@ -7,7 +7,7 @@ import numpy as np
 from navgym.core.compile import kernel, part
 from navgym.core.health import settle, watch_power
 from navgym.envs.actions import bounded, foretold, log_square, place, set_parameters
-from navgym.envs.base import (
+from navgym.envs.columns import (
     FREEDOM,
     HEARD,
     INFORMATION,

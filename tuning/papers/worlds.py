@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from navgym.auv.scenarios import CATALOGUE, SHIFTS, Loss, Regime
+from navgym.auv.simulation import remembering
 from navgym.core.checks import Array
 from navgym.core.seeds import seeds
 from navgym.simulation import simulate_many
@@ -80,8 +81,9 @@ def worlds() -> Iterator[World]:
     yield World("position outliers", *plain, spiked(POSITION))
     for amount, period in ((0.05, 60.0), (0.3, 20.0)):
         name = f"swaying {amount:g} m/s², {period:g} s"
-        yield World(name, *plain, swaying(amount, period))
-        yield World(f"{name}, outliers", "heavy", PLAIN, swaying(amount, period))
+        sway = {**PLAIN, "sway": (amount, period)}
+        yield World(name, "nominal", sway)
+        yield World(f"{name}, outliers", "heavy", sway)
     yield World("velocity .75 s late", *plain, late)
 
 
@@ -101,9 +103,7 @@ def correlated(columns: Sequence[int], memory: float) -> Change:
 
     def change(recording: Recording, rng: np.random.Generator) -> Recording:  # noqa: ARG001
         noise = _noise(recording)
-        fresh = np.sqrt(1.0 - memory**2)
-        for k in range(1, len(noise)):
-            noise[k, columns] = memory * noise[k - 1, columns] + fresh * noise[k, columns]
+        noise[:, columns] = remembering(noise[:, columns], memory)
         return replace(recording, measurements=recording.truth + noise)
 
     return change
@@ -118,22 +118,6 @@ def spiked(columns: Sequence[int], rate: float = 0.1, factor: float = 10.0) -> C
         for column in columns:
             noise[hit, column] *= factor
         return replace(recording, measurements=recording.truth + noise)
-
-    return change
-
-
-def swaying(amount: float, period: float) -> Change:
-    """Both axes are pushed by a sine of `amount` m/s² that no model knows of, each in its own phase."""
-
-    def change(recording: Recording, rng: np.random.Generator) -> Recording:
-        w, phase = 2.0 * np.pi / period, rng.uniform(0.0, 2.0 * np.pi, 2)
-        t = (recording.time - recording.time[0])[:, None]
-        truth = np.array(recording.truth)
-        speed = amount / w
-        truth[:, VELOCITY] += speed * (np.sin(w * t + phase) - np.sin(phase))
-        swing = -speed / w * (np.cos(w * t + phase) - np.cos(phase))
-        truth[:, POSITION] += swing - speed * np.sin(phase) * t
-        return replace(recording, measurements=truth + _noise(recording), truth=truth)
 
     return change
 

@@ -1,0 +1,9 @@
+"""Columns that every engine's kernels write; numbers are frozen into kernels."""
+
+# the first columns of a decision's outcome, in every engine; information follows
+REWARD, TERMINATED, TRUNCATED, INFORMATION = range(4)
+
+# what a live lane adds up between two decisions: samples in which something was received, NIS of the
+# controlled filter, its degrees of freedom, and how well both filters foretold what came in
+HEARD, NIS_SUM, FREEDOM, SCORE, REFERENCE_SCORE = range(5)
+TALLY = 5
