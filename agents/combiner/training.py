@@ -28,6 +28,7 @@ from navgym.agents.training.record import versions
 from navgym.core.atomic import writable_folder
 from navgym.core.checks import Array
 from navgym.core.seeds import seeds
+from navgym.core.streams import say
 from navgym.statespace.filters import combiner as kernels
 
 if TYPE_CHECKING:
@@ -126,7 +127,7 @@ def gains(network: Network, of: Lessons) -> Array:
 
 
 def train(
-    config: CombinerConfiguration, fresh: bool = False, report: Report = print, command: str = ""
+    config: CombinerConfiguration, fresh: bool = False, report: Report = say, command: str = ""
 ) -> Combiner:
     """Train as `config` says, or go on with what is in its folder; returns the best network.
 

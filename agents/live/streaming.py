@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navgym.agents.live.fallback import FallbackRule, Guard
+from navgym.agents.policies.manifest import ANOTHER
 from navgym.core.checks import Array
 from navgym.envs.live import CONTROLLED, REFERENCE, LiveEstimate, LiveLane
 from navgym.problem import Problem, problems
@@ -93,7 +94,13 @@ class SelfTuningFilter:
         self._interval = self._lane.settings.decision_interval
         most = self._lane.components * self._interval
         self._guard = Guard(
-            rule, self._lane.names, policy.low, policy.high, most, self._lane.compares
+            rule,
+            self._lane.names,
+            policy.low,
+            policy.high,
+            most,
+            self._lane.compares,
+            trusted=ANOTHER not in manifest.training or not self._lane.fixes,
         )
         self._fixed = self._named(self._lane.reference)
         self.reset()

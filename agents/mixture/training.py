@@ -23,6 +23,7 @@ from navgym.core.atomic import writable_folder
 from navgym.core.checks import Array, one_of, positive_int, within
 from navgym.core.seeds import seeds
 from navgym.core.storage import writable
+from navgym.core.streams import say
 from navgym.statespace.filters import mixture as kernels
 from navgym.tuning import declared
 
@@ -116,7 +117,7 @@ class Made:
     seconds: float
 
 
-def train(config: MixtureConfiguration, report: Report = print, command: str = "") -> Made:
+def train(config: MixtureConfiguration, report: Report = say, command: str = "") -> Made:
     """Tune, or read what is tuned; learn the weights; let the guard judge; write.
 
     Raises:

@@ -15,6 +15,8 @@ from navgym.envs.settings import LaneSettings
 from navgym.estimation import parameter_space
 from navgym.problem import environments, problem_of
 
+ANOTHER = "reference_since"  # of a manifest's training: where a reference comes from that took its own's place
+
 
 @dataclass(frozen=True)
 class Manifest:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navgym.agents.policies import portable
-from navgym.agents.policies.manifest import Manifest
+from navgym.agents.policies.manifest import ANOTHER, Manifest
 from navgym.core.checks import Array, one_of, real_array, shaped, within
 from navgym.envs.actions import LIMIT, action_table, fill_rows
 from navgym.problem import PROBLEMS
@@ -309,7 +309,7 @@ class Policy:
         whole = self._space.defaults | dict(reference)
         if len(self._space.array(whole)) > 1:
             raise ValueError(f"reference must hold one number per parameter, got {reference!r}.")
-        training = {**self.manifest.training, "references_since": source}
+        training = {**self.manifest.training, ANOTHER: source}
         settings = {**self.manifest.settings, "reference": whole}
         manifest = dataclasses.replace(
             self.manifest, reference=whole, settings=settings, training=training

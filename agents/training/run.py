@@ -18,6 +18,7 @@ from navgym.agents.training.record import Mark, versions
 from navgym.agents.training.reference import found_start
 from navgym.agents.training.trainer import Trainer
 from navgym.core.atomic import replacing, writable_folder
+from navgym.core.streams import say
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class Trained:
 
 
 def train(
-    config: Configuration, fresh: bool = False, report: Report = print, command: str = ""
+    config: Configuration, fresh: bool = False, report: Report = say, command: str = ""
 ) -> Trained:
     """Train as `config` says, or go on with what is in its folder.
 

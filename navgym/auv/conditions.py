@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from navgym.auv.scenarios import AUVScenario, Loss, Regime
 from navgym.core.checks import span, within
-from navgym.core.draws import Range, log_uniform, pair
+from navgym.core.draws import Range, log_uniform
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class AUVRanges:
     manoeuvre_scale: Range = (40.0, 600.0)
     """multiple of Q in a manoeuvre, drawn log-uniformly"""
     dwell: Range = (15.0, 350.0)
-    """samples: the shortest and the longest time in a regime, both drawn log-uniformly"""
+    """samples: the shortest time in a regime, drawn log-uniformly; the longest is up to three times that"""
     sway: Range = (0.02, 0.5)
     """m/s²: a sine that no model knows of, drawn log-uniformly"""
     sway_period: Range = (12.0, 120.0)
@@ -38,6 +39,8 @@ class AUVRanges:
     """correlation of noise from sample to sample, drawn uniformly"""
     regimes: tuple[int, int] = (1, 4)
     """how many regimes of any kind take the place of the scenario's"""
+    outlier_rate: Range = (0.05, 0.3)
+    """of outliers in manoeuvres, drawn uniformly"""
 
     def __post_init__(self) -> None:
         within("chance", self.chance, 0.0, 1.0)
@@ -50,6 +53,8 @@ class AUVRanges:
             span(name, getattr(self, name), 0.0, above=True)
         span("memory", self.memory, 0.0)
         within("memory", self.memory[1], 0.0, 0.999)
+        span("outlier_rate", self.outlier_rate, 0.0)
+        within("outlier_rate", self.outlier_rate[1], 0.0, 1.0)
         span("regimes", self.regimes, 1, whole=True)
 
 
@@ -63,13 +68,30 @@ def draw(scenario: AUVScenario, ranges: AUVRanges, rng: np.random.Generator) -> 
         "process_scale": scenario.process_scale * log_uniform(ranges.process_scale, rng),
         "outlier_scale": log_uniform(ranges.outlier_scale, rng),
         "manoeuvre_scale": log_uniform(ranges.manoeuvre_scale, rng),
-        "dwell": tuple(round(d) for d in pair(ranges.dwell, rng)),
+        "dwell": _dwell(ranges.dwell, rng),
         "sway": (log_uniform(ranges.sway, rng), log_uniform(ranges.sway_period, rng)),
         "memory": float(rng.uniform(*ranges.memory)),
         "regimes": drawn_regimes(ranges, rng),
     }
     found = {name: value for name, value in draws.items() if rng.random() < ranges.chance}
-    return scenario.override(**found)
+    changed = scenario.override(**found)
+    rate = float(rng.uniform(*ranges.outlier_rate))
+    return _spoilt(changed, rate) if rng.random() < ranges.chance else changed
+
+
+def _dwell(ends: Range, rng: np.random.Generator) -> tuple[int, int]:
+    """The shortest and the longest time in a regime, samples."""
+    least = log_uniform(ends, rng)
+    return round(least), round(min(least * rng.uniform(1.0, 3.0), max(ends[1], least)))
+
+
+def _spoilt(scenario: AUVScenario, rate: float) -> AUVScenario:
+    """The same with outliers in every manoeuvre."""
+    regimes = tuple(
+        dataclasses.replace(r, outlier_rate=rate) if r.process_scale > 1.0 else r
+        for r in scenario.regimes
+    )
+    return scenario.override(regimes=regimes)
 
 
 def drawn_regimes(ranges: AUVRanges, rng: np.random.Generator) -> tuple[Regime, ...]:

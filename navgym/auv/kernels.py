@@ -16,7 +16,7 @@ import numpy as np
 from navgym.core.compile import inline, kernel, part
 from navgym.core.health import NUMERICAL
 from navgym.envs.actions import bounded, foretold, log_square, place, set_parameters
-from navgym.envs.columns import FREEDOM, HEARD, NIS_SUM, SCORE
+from navgym.envs.columns import FREEDOM, HEARD, MISS, NIS_SUM, SCORE
 from navgym.statespace.filters import kalman, qivbf
 from navgym.statespace.filters.lane import LOG_2PI, quadratic
 
@@ -401,6 +401,16 @@ def suspect(doubt, lane, model, sample):
     return lost
 
 
+@part
+def missed(lane, model, sample, station):
+    """How far a filter missed the fixes of a sample: a heavy-tailed cost, of the same scale for any filter."""
+    s = 0.0
+    for j in range(lane.y.shape[0]):
+        if not sample.lost[j] and station.kind[j] == 0:
+            s += math.log1p(lane.innovation[j] * lane.innovation[j] / model.R[j, j])
+    return s
+
+
 @kernel
 def live(lanes, frozen, stations, models, samples, doubts, table, tally, look, obs):
     """One sample of a voyage under way; returns which filters have failed, as bits.
@@ -416,7 +426,7 @@ def live(lanes, frozen, stations, models, samples, doubts, table, tally, look, o
         samples: (1,) a tape's record, of which y, lost and time are given.
         doubts: (3,) what is kept of the innovations of these three filters.
         table: as `decide` takes it: what the observation tells of the parameters in force.
-        tally: (5,) sums over the decision so far, of which this sample becomes part.
+        tally: (7,) sums over the decision so far, of which this sample becomes part.
         look: whether to write the observation.
         obs: (1, n) to write it to.
     """
@@ -432,6 +442,7 @@ def live(lanes, frozen, stations, models, samples, doubts, table, tally, look, o
             lane = lanes[i]
             log_det = -2.0 * lane.log_likelihood - lane.nis - received * LOG_2PI
             tally[SCORE + i] += foretold(lane.nis, log_det, received)
+            tally[MISS + i] += missed(lane, model, sample, stations[0])
             lost += suspect(doubts[i], lane, model, sample) << i
         suspect(doubts[2], frozen[0], model, sample)
     if look:

@@ -67,6 +67,7 @@ class LiveAUV(LinearIntake, LiveLane):
         n, m = self.model.n, self.model.m
         self.components = m
         station = station_of(self.model, self.reference)
+        self.fixes = bool((station["kind"] == 0).any())
         types = (
             (qivbf.lane_type(n, m), 2), (kalman.lane_type(n, m), 1), (station.dtype, 2),
             (self._packed.dtype, 1), (K.tape_type(n, m), 1), (K.doubt_type(m), 3),

@@ -148,7 +148,11 @@ TRAINING = Training(
                 "reward": "relative",
                 "pool": 2000,
                 "decisions": 3_000_000,
-                "ranges": {"chance": 0.3, "measurement_scale": (0.1, 100.0), "dwell": (5.0, 350.0)},
+                "ranges": {
+                    "chance": 0.35,
+                    "measurement_scale": (0.1, 100.0),
+                    "dwell": (5.0, 350.0),
+                },
             },
         ),
         # few observations, few units, half the range: what carries over from some tracks to others

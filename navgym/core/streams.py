@@ -86,3 +86,8 @@ def lost() -> OSError | None:
         os.dup2(nowhere, sys.stdout.fileno())
         os.close(nowhere)
     return error
+
+
+def say(line: str) -> None:
+    """Print a line of progress at once, also where output goes to a file or a pipe."""
+    print(line, flush=True)

@@ -305,7 +305,7 @@ def live(
         lever: (3,) m.
         moving: (5, 4) what the mechanisation carries along.
         disturbance: (6,) errors of the step's transmitted quantities; zeros at sea.
-        tally: (5,) sums over the decision so far, over the rate channels; this step becomes part.
+        tally: (7,) sums over the decision so far, over the rate channels; this step becomes part.
         look: whether to write the observation.
         obs: (1, n) to write it to.
     """

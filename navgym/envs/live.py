@@ -72,6 +72,7 @@ class LiveLane:
     components: int  # of a filter step's innovation that are judged together
     begins_anew: ClassVar[bool] = False  # warm-up included, where both filters failed
     compares: ClassVar[bool] = False  # see `navgym.agents.live.fallback.Guard`
+    fixes: bool = False  # whether it adds up how far position fixes are missed
 
     def __init__(
         self, settings: LaneSettings, reference: Mapping[str, Any], names: Sequence[str]

@@ -358,7 +358,7 @@ def live(
         gate: column of the gate.
         reports: (1,) scratch.
         table: as `decide` takes it.
-        tally: (5,) sums over the decision so far, of which this step becomes part.
+        tally: (7,) sums over the decision so far, of which this step becomes part.
         look: whether to write the observation.
         obs: (1, n) to write it to.
     """

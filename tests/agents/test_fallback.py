@@ -5,7 +5,15 @@ import pytest
 from scipy.stats import chi2
 
 from navgym.agents.live.fallback import FallbackRule, Guard
-from navgym.envs.columns import FREEDOM, HEARD, NIS_SUM, REFERENCE_SCORE, SCORE, TALLY
+from navgym.envs.columns import (
+    FREEDOM,
+    HEARD,
+    NIS_SUM,
+    REFERENCE_MISS,
+    REFERENCE_SCORE,
+    SCORE,
+    TALLY,
+)
 
 LOW, HIGH = np.array([-1.0, 10.0]), np.array([1.0, 10.5])
 INSIDE = np.array([0.0, 10.2], dtype=np.float32)
@@ -174,3 +182,43 @@ def test_impossible_rules_are_refused_by_name(fields):
 def test_the_ends_of_rules_belong_to_them():
     FallbackRule(margin=0.0, confidence=0.0, advantage=0.0, window=1, patience=1, recovery=1)
     FallbackRule(confidence=1.0)
+
+
+class TestFixes:
+    """Who misses the position fixes by less answers, with some inertia to either side."""
+
+    @staticmethod
+    def play(guarded, gains):
+        found = []
+        for gained in gains:
+            seen = QUIET.copy()
+            seen[REFERENCE_MISS] = gained
+            guarded.judge(INSIDE, seen)
+            found.append(guarded.reason)
+        return found
+
+    def test_it_leaves_a_policy_that_is_behind_and_returns_when_it_is_ahead(self):
+        guarded = guard(memory=10**9, behind=1.0, ahead=3.0)
+        reasons = self.play(guarded, [0.0, -0.9, -0.2, 0.0, 1.0, 3.0, 0.2])
+        assert [r is None for r in reasons] == [True, True, False, False, False, False, True]
+        assert "fixes" in reasons[2]
+        assert guarded.falls == 1
+
+    def test_what_was_long_ago_is_forgotten(self):
+        guarded = guard(memory=2, behind=1.0)
+        # 1.6 in all, .1 and .8 in the end
+        assert self.play(guarded, [-0.8, 0.0, 0.0, -0.8]) == [None] * 4
+
+    def test_a_policy_around_other_parameters_must_be_ahead_first(self):
+        unproven = Guard(
+            FallbackRule(memory=10**9), ("speed", "depth"), LOW, HIGH, 8, trusted=False
+        )
+        assert "not yet" in unproven.reason
+        reasons = self.play(unproven, [1.0, 1.0, 1.5, -5.0])
+        assert [r is None for r in reasons] == [False, False, True, False]
+        assert "missed" in reasons[3]
+        assert unproven.falls == 1  # once in force, once out of it
+
+    def test_a_filter_that_failed_leaves_no_trace(self):
+        guarded = guard()
+        assert self.play(guarded, [np.nan, 0.0]) == [None, None]

@@ -415,7 +415,7 @@ class TestAnotherReference:
         space = own.manifest.whole_space
         assert row[space.index("process_noise_scale")] == pytest.approx(3.0)
         assert row[space.index("forgetting")] == pytest.approx(0.95)
-        assert own.manifest.training["references_since"] == "tuned.toml"
+        assert own.manifest.training["reference_since"] == "tuned.toml"
         kept = Policy.load(own.save(tmp_path / "own"))
         assert kept.manifest.reference == own.manifest.reference
         live = agents.SelfTuningFilter("qivbf", kept, navgym.LinearModel())

@@ -18,6 +18,9 @@ STEADY = {"process_noise_scale": 70.0, "prior_count": 2.0}
 # nine seconds' memory of R: what the policy sees is soon as before once a noisy stretch is over
 FORGETFUL = {"process_noise_scale": 3.0, "prior_count": 1.2, "forgetting": 0.89}
 SPIKE = 1e200
+ALIKE = FallbackRule(
+    behind=1e9
+)  # who misses fixes by less is not asked: other reasons are looked at
 
 
 def auv(recording, bias=None, size=1.0, **settings):
@@ -207,6 +210,24 @@ class TestRefusals:
 
 
 class TestFallback:
+    def test_a_policy_that_misses_the_fixes_by_more_is_left_for_the_parameters_it_starts_from(self):
+        recording = navgym.simulate("auv/nominal", seed=0, steps=400, loss=0.0)
+        _, policy = auv(recording, bias=0.5)  # far from best fixed, which nothing beats here
+        tuned = SelfTuningFilter("qivbf", policy, recording.model)
+        alone = SelfTuningFilter("qivbf", policy, recording.model, rule=None)
+        fixed = navgym.estimate("qivbf", recording, policy.manifest.reference)
+        errors = []
+        for states in (
+            stacked(list(tuned.follow(recording)), "state"),
+            stacked(list(alone.follow(recording)), "state"),
+            fixed.states,
+        ):
+            miss = (states - recording.truth)[:, [0, 2]]
+            errors.append(np.sqrt((miss**2).sum(axis=1).mean()))
+        assert tuned.fallback is not None
+        assert errors[1] > 1.1 * errors[2]
+        assert errors[0] < errors[2] + 0.3 * (errors[1] - errors[2])
+
     def test_a_shift_beyond_training_triggers_it_and_its_end_ends_it(self):
         recording = calm_then(30.0, 150, 200, 500)
         env, policy = auv(recording, reference=FORGETFUL, bias=0.1)
@@ -218,7 +239,7 @@ class TestFallback:
                 tuned.step(y)
                 seen.append(tuned._lane.observation[0].copy())
         known = trained_on(policy, np.min(seen, axis=0), np.max(seen, axis=0))
-        tuned = SelfTuningFilter("qivbf", known, recording.model)
+        tuned = SelfTuningFilter("qivbf", known, recording.model, rule=ALIKE)
         found = list(tuned.follow(recording))
         fallen = np.array([f.fallback is not None for f in found])
         assert not fallen[:150].any()
@@ -241,7 +262,7 @@ class TestFallback:
         fixed = {"process_noise_scale": 100.0, "prior_count": 170.0, "forgetting": 0.99}
         arguments = {"action_parameters": ("process_noise_scale",), "action": "absolute"}
         _, policy = auv(recording, bias=-0.1, reference=fixed, **arguments)
-        tuned = SelfTuningFilter("qivbf", policy, recording.model)
+        tuned = SelfTuningFilter("qivbf", policy, recording.model, rule=ALIKE)
         found = list(tuned.follow(recording))
         fallen = np.array([f.fallback is not None for f in found])
         assert fallen[60:].mean() > 0.5
@@ -256,7 +277,7 @@ class TestFallback:
         fixed = {"prior_count": 300.0, "forgetting": 0.999, "initial_count": 100.0,
                  "initial_scale": 1.0, "process_noise_scale": 1.0}  # fmt: skip
         _, policy = auv(recording, bias=0.05, reference=fixed)
-        tuned = SelfTuningFilter("qivbf", policy, recording.model)
+        tuned = SelfTuningFilter("qivbf", policy, recording.model, rule=ALIKE)
         found = list(tuned.follow(recording))
         assert not 3.5 < np.mean([f.nis for f in found[5:60]]) < 4.5
         assert all(f.fallback is None for f in found)
@@ -280,7 +301,7 @@ class TestFallback:
         low[since] = high[since] = 0.0
         known = trained_on(policy, low, high)
         for patience, recovery, wanted in ((1, 4, range(55, 75)), (2, 4, range(0))):
-            rule = FallbackRule(patience=patience, recovery=recovery, confidence=1.0)
+            rule = dataclasses.replace(ALIKE, patience=patience, recovery=recovery, confidence=1.0)
             tuned = SelfTuningFilter("qivbf", known, recording.model, rule=rule)
             fallen = [k for k, row in enumerate(y) if tuned.step(row).fallback is not None]
             assert fallen == list(wanted)
@@ -292,7 +313,7 @@ class TestDivergence:
         y = recording.measurements.copy()
         y[100] = SPIKE
         _, policy = auv(recording, bias=0.1)
-        tuned = SelfTuningFilter("qivbf", policy, recording.model)
+        tuned = SelfTuningFilter("qivbf", policy, recording.model, rule=ALIKE)
         found = [tuned.step(row) for row in y]
         assert [k for k, f in enumerate(found) if f.diverged] == [100]
         assert tuned.restarts == 1
