@@ -12,7 +12,7 @@ from navgym.statespace.batch import StateSpaceBatch, outputs
 from navgym.statespace.filters import bank
 from navgym.statespace.filters.modes import Structure, pack
 
-SIZES = ((1, 1), (2, 1), (4, 4), (8, 3))  # every (n, m) costs seconds of compilation once
+SIZES = ((1, 1), (2, 1), (4, 4), (5, 3))  # every (n, m) costs seconds of compilation once
 STEPS = 12
 NAMES = ("states", "covariances", "innovations", "nis", "log_likelihood")
 

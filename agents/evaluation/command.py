@@ -21,8 +21,9 @@ from navgym.agents.evaluation.verdicts import (
     load,
     load_combiners,
 )
-from navgym.agents.policies.loading import load_agent
-from navgym.agents.policies.policy import located
+from navgym.agents.mixture.mixture import KIND as MIXTURE
+from navgym.agents.policies.loading import Agent, kind_of, load_agent
+from navgym.agents.policies.policy import Policy, located
 from navgym.agents.training.logs import Logs
 from navgym.command import as_typed
 from navgym.core.atomic import writable_folder
@@ -62,8 +63,8 @@ class Options:
     """What was asked for."""
 
     policies: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
-    """files of policies (.npz), or auv and deck for those that navgym ships; both of these if none is
-    named"""
+    """files of policies or mixtures (.npz), or auv and deck for the policies that navgym ships; both of these
+    if none is named. On scenarios a mixture runs beside the policies"""
     log: tuple[Path, ...] = ()
     """judge on these real logs instead"""
     read: tuple[str, ...] = ()
@@ -73,12 +74,15 @@ class Options:
     """of the logs; by default what they look like"""
     draws: int = 10
     """of noise and losses per log and rate of losses, where the logs' format draws them"""
+    reference: Path | None = None
+    """a tuned.toml to put the policies around on logs, instead of the parameters that they were trained with"""
     tuned: tuple[Path, ...] = ()
     """further tuned parameters to run beside on logs: files of navgym tune"""
     scenario: tuple[str, ...] = ()
     """judge on these instead of the scenarios that the policies were trained on"""
     combiner: tuple[Path, ...] = ()
-    """files of learned combiners to run beside; that which navgym ships if none is named"""
+    """files of learned combiners, or of mixtures, to run beside; the combiner that navgym ships if none is
+    named"""
     runs: int | None = None
     """recordings per condition that a policy was trained for; None: hundreds, as each problem says"""
     workers: int | None = None
@@ -99,8 +103,10 @@ class Options:
             positive_int("runs", self.runs, least=2)
         positive_int("workers", self.processes)
         positive_int("draws", self.draws)
-        if (self.read or self.format or self.tuned) and not self.log:
-            raise ValueError("--read, --format and --tuned are for logs: name them with --log.")
+        if (self.read or self.format or self.tuned or self.reference) and not self.log:
+            raise ValueError(
+                "--read, --format, --tuned and --reference are for logs: name them with --log."
+            )
         if self.log and self.scenario:
             raise ValueError("give --log or --scenario, not both.")
         if self.data is not None and not self.data.is_dir():
@@ -143,7 +149,10 @@ def on_logs(options: Options, command: str) -> int:
     options.check()
     logs = Logs(options.log, options.read, options.format)
     paths = [located(p) for p in options.policies] or ladder.shipped_for(logs.problem)
-    agents = dict(zip(ladder.labelled(paths), map(load_agent, paths), strict=True))
+    agents = {
+        k: _around(load_agent(p), options)
+        for k, p in zip(ladder.labelled(paths), paths, strict=True)
+    }
     combiners = load_combiners([located(p) for p in options.combiner])
     tuned = {f"{p.parent.name}/{p.name}": read_tuned(p) for p in options.tuned}
     found = ladder.contest(agents, logs, options.draws, combiners, options.fallback, tuned)
@@ -158,6 +167,13 @@ def on_logs(options: Options, command: str) -> int:
     return 1 if bad else 0
 
 
+def _around(agent: Agent, options: Options) -> Agent:
+    """A policy around the parameters that `--reference` names; a mixture keeps its own."""
+    if options.reference is None or not isinstance(agent, Policy):
+        return agent
+    return agent.with_reference(options.reference)
+
+
 def run(options: Options, command: str) -> list[Bench]:
     """Evaluate, print the tables, write the page and the results, which record the command."""
     from navgym.agents.evaluation import report as evaluation_report
@@ -166,9 +182,11 @@ def run(options: Options, command: str) -> list[Bench]:
 
     began = time.perf_counter()
     options.check()
+    named = [located(p) for p in options.policies]
+    mixtures = [p for p in named if kind_of(p) == MIXTURE]
     found = leagues(
-        load([located(p) for p in options.policies]), options.extent, options.scenario,
-        options.tracks, options.fallback, load_combiners([located(p) for p in options.combiner]),
+        load([p for p in named if p not in mixtures]), options.extent, options.scenario, options.tracks,
+        options.fallback, load_combiners([*(located(p) for p in options.combiner), *mixtures]),
     )  # fmt: skip
     tracks = {each.problem.tracks.title: each.folder for each in found if each.problem.tracks}
     missing = [title for title, folder in tracks.items() if folder is None]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from navgym.agents.combiner.combiner import Combiner
 from navgym.agents.evaluation.rollout import Chooser, problem_in, replay_filter, roll_out
 from navgym.agents.evaluation.streamed import stream
+from navgym.agents.mixture.mixture import Mixture
 from navgym.agents.policies.policy import Policy
 from navgym.core.checks import Array
 from navgym.problem import Contest, Filter
@@ -91,7 +92,8 @@ class Contender:
 
     Args:
         entry: label, filter and parameters.
-        runs: what runs, where it is no filter of the catalogue: one of one's own, or a combiner.
+        runs: what runs, where it is no filter of the catalogue: one of one's own, a combiner
+            or a mixture.
         states: estimates of its own, (N, T, n) and flags (N,), where it is no filter run.
         latency: µs per filter step that choosing takes on its own.
         fallbacks: (N,) share of each recording that a fallback was in force.
@@ -99,7 +101,7 @@ class Contender:
     """
 
     entry: Entry
-    runs: Filter | Combiner | None = None
+    runs: Filter | Combiner | Mixture | None = None
     states: Callable[[], tuple[Array, NDArray[Any]]] | None = None
     latency: float = 0.0
     fallbacks: Array | None = None

@@ -34,6 +34,7 @@ from navgym.agents.evaluation.contest import (
 )
 from navgym.agents.evaluation.regime_tables import tables
 from navgym.agents.evaluation.rollout import Learnt, problem_in
+from navgym.agents.mixture.mixture import Mixture
 from navgym.agents.policies.policy import Policy
 from navgym.core.checks import Array
 from navgym.metrics import consistency
@@ -56,7 +57,8 @@ class League:
         extent: how much is run.
         fallback: whether policies also run with their fallback.
         folder: of real tracks; None leaves them out.
-        combiners: learned combiners of the bank, by label; they run where the problem has that.
+        combiners: learned combiners of the bank, and mixtures, by label; they run where the problem has
+            the bank.
         answers: names of the own conditions that each policy answers for; by default all.
     """
 
@@ -68,7 +70,7 @@ class League:
         extent: Extent,
         fallback: bool = True,
         folder: Path | None = None,
-        combiners: Mapping[str, Combiner] = MappingProxyType({}),
+        combiners: Mapping[str, Combiner | Mixture] = MappingProxyType({}),
         answers: Mapping[str, Sequence[str]] | None = None,
     ) -> None:
         everything = [c.name for c in own]
@@ -289,7 +291,7 @@ class League:
 
     def _run(self, contender: Contender, cases: Cases, parameters: Any, everything: bool) -> Run:
         """What a contender says of each filter step."""
-        if isinstance(contender.runs, Combiner):
+        if isinstance(contender.runs, (Combiner, Mixture)):
             return contender.runs.run(cases.batch, everything, fallback=True)
         entry = contender.entry
         chosen = contender.runs or entry.filter

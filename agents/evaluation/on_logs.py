@@ -83,7 +83,7 @@ def contest(
     agents: Mapping[str, Agent],
     logs: Logs,
     draws: int,
-    combiners: Mapping[str, Combiner],
+    combiners: Mapping[str, Combiner | Mixture],
     fallback: bool = True,
     tuned: Mapping[str, Tuned] | None = None,
 ) -> Contest:
@@ -125,7 +125,7 @@ def _fits(label: str, agent: Agent, logs: Logs) -> None:
 def _ladder(
     agents: Mapping[str, Agent],
     problem: Problem,
-    combiners: Mapping[str, Combiner],
+    combiners: Mapping[str, Combiner | Mixture],
     fallback: bool,
     tuned: Mapping[str, Tuned],
 ) -> tuple[dict[str, Runner], dict[str, str]]:
@@ -164,7 +164,7 @@ def of_fixed(filter_name: str, values: Mapping[str, Any] | None) -> Runner:
     return lambda cases: cases.problem.run(filter_name, cases.batch, values, everything=True)
 
 
-def _combined(combiner: Combiner) -> Runner:
+def _combined(combiner: Combiner | Mixture) -> Runner:
     return lambda cases: combiner.run(cases.batch, everything=True, fallback=True)
 
 

@@ -29,6 +29,9 @@ from navgym.agents.evaluation.contest import (
 from navgym.agents.evaluation.league import League
 from navgym.agents.evaluation.play import Part, joined, parts, play
 from navgym.agents.evaluation.rollout import problem_in
+from navgym.agents.mixture.mixture import KIND as MIXTURE_KIND
+from navgym.agents.mixture.mixture import Mixture
+from navgym.agents.policies.loading import kind_of
 from navgym.agents.policies.policy import KIND, PRETRAINED, Policy
 from navgym.agents.policies.portable import pair
 from navgym.core.checks import one_of, positive_int
@@ -133,8 +136,9 @@ def load(paths: Sequence[Path]) -> dict[str, Policy]:
 
 
 def _label(path: Path) -> str:
-    """A policy's name: that of its file, or of its folder where the file is just called policy."""
-    return path.resolve().parent.name if path.stem == "policy" else path.stem
+    """A policy's or mixture's name: of its file, or of its folder where the file is called just that."""
+    alone = path.stem in ("policy", "mixture")
+    return path.resolve().parent.name if alone else path.stem
 
 
 def shipped() -> list[Path]:
@@ -152,18 +156,28 @@ def _kind(path: Path) -> str:
     return str(json.loads(path.read_text(encoding="utf-8")).get("kind"))
 
 
-def load_combiners(paths: Sequence[Path]) -> dict[str, Combiner]:
-    """Combiners by label: the shipped one, if there is one, where no path is given.
+def load_combiners(paths: Sequence[Path]) -> dict[str, Combiner | Mixture]:
+    """Combiners and mixtures by label: the shipped combiner, if there is one, where none is named.
 
     Raises:
         FileNotFoundError: no such file.
-        ValueError: a truncated or foreign file, or one of another bank.
+        ValueError: a truncated or foreign file, or one of another bank; two of one name.
     """
-    if not paths:
+    mixtures = [p for p in paths if kind_of(p) == MIXTURE_KIND]
+    others = [p for p in paths if p not in mixtures]
+    if not others:
         there = sorted(PRETRAINED.glob("*.json"))
-        paths = [p for p in there if _kind(p) == COMBINER_KIND][:1]
-    labels = [COMBINED] if len(paths) == 1 else [f"bank + {_label(pair(p)[0])}" for p in paths]
-    return {label: Combiner.load(p) for label, p in zip(labels, paths, strict=True)}
+        others = [p for p in there if _kind(p) == COMBINER_KIND][:1]
+    labels = [COMBINED] if len(others) == 1 else [f"bank + {_label(pair(p)[0])}" for p in others]
+    found: dict[str, Combiner | Mixture] = {
+        label: Combiner.load(p) for label, p in zip(labels, others, strict=True)
+    }
+    for path in mixtures:
+        label = f"mixture {_label(pair(path)[0])}"
+        if label in found:
+            raise ValueError(f"mixtures must have distinct names, got {label!r} twice.")
+        found[label] = Mixture.load(path)
+    return found
 
 
 def leagues(
@@ -172,7 +186,7 @@ def leagues(
     scenarios: Sequence[str] = (),
     folder: Path | None = None,
     fallback: bool = True,
-    combiners: Mapping[str, Combiner] = MappingProxyType({}),
+    combiners: Mapping[str, Combiner | Mixture] = MappingProxyType({}),
 ) -> list[League]:
     """A league per environment that the policies come from.
 
@@ -182,7 +196,7 @@ def leagues(
         scenarios: to judge policies on; those that they were trained on by default.
         folder: of real tracks, or of a folder per set of them; None leaves them out.
         fallback: whether policies also run with their fallback.
-        combiners: learned combiners of the bank to run beside, by label.
+        combiners: learned combiners of the bank, and mixtures, to run beside, by label.
 
     Raises:
         ValueError: a policy of an unknown environment, an unknown scenario, or one that a policy

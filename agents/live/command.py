@@ -10,7 +10,7 @@ from typing import Any, BinaryIO
 
 from navgym.agents.live.lines import LONGEST_LINE, Format, Noise, estimates
 from navgym.agents.policies.loading import load_agent
-from navgym.agents.policies.policy import located
+from navgym.agents.policies.policy import Policy, located
 from navgym.readers import ReaderOptions, words_after
 
 ABOUT = """Filter a log line by line, as it arrives, with parameters that a trained policy sets.
@@ -46,6 +46,11 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
     )  # fmt: skip
     add = parser.add_argument
     add("policy", help="path of the policy, with or without .npz, or: auv")
+    add(
+        "--reference", metavar="tuned.toml",
+        help="your own tuned parameters, as navgym tune writes them: the policy starts from them and falls "
+        "back to them, and is in force once it has foretold the fixes better",
+    )  # fmt: skip
     add("--position-noise", type=float, help="std of a position, m (1.0)")
     add("--velocity-noise", type=float, help="std of a velocity, m/s (0.1)")
     add("--acceleration", type=float, help="std of the vehicle's white one, m/s²/√Hz (0.1)")
@@ -65,6 +70,10 @@ def main(words: Sequence[str]) -> int:
     options = parse(words)
     noise, form = _told(options)
     policy = load_agent(located(options.policy))
+    if options.reference is not None:
+        if not isinstance(policy, Policy):
+            raise ValueError("--reference is for policies: a mixture has its own tuned parameters.")
+        policy = policy.with_reference(options.reference)
     found = estimates(text_lines(sys.stdin.buffer), policy, noise, say, form)
     with closing(found):
         for line in found:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,8 +38,6 @@ class AUVRanges:
     """correlation of noise from sample to sample, drawn uniformly"""
     regimes: tuple[int, int] = (1, 4)
     """how many regimes of any kind take the place of the scenario's"""
-    outlier_rate: Range = (0.05, 0.3)
-    """of outliers in manoeuvres, drawn uniformly"""
 
     def __post_init__(self) -> None:
         within("chance", self.chance, 0.0, 1.0)
@@ -53,8 +50,6 @@ class AUVRanges:
             span(name, getattr(self, name), 0.0, above=True)
         span("memory", self.memory, 0.0)
         within("memory", self.memory[1], 0.0, 0.999)
-        span("outlier_rate", self.outlier_rate, 0.0)
-        within("outlier_rate", self.outlier_rate[1], 0.0, 1.0)
         span("regimes", self.regimes, 1, whole=True)
 
 
@@ -74,24 +69,13 @@ def draw(scenario: AUVScenario, ranges: AUVRanges, rng: np.random.Generator) -> 
         "regimes": drawn_regimes(ranges, rng),
     }
     found = {name: value for name, value in draws.items() if rng.random() < ranges.chance}
-    changed = scenario.override(**found)
-    rate = float(rng.uniform(*ranges.outlier_rate))
-    return _spoilt(changed, rate) if rng.random() < ranges.chance else changed
+    return scenario.override(**found)
 
 
 def _dwell(ends: Range, rng: np.random.Generator) -> tuple[int, int]:
     """The shortest and the longest time in a regime, samples."""
     least = log_uniform(ends, rng)
     return round(least), round(min(least * rng.uniform(1.0, 3.0), max(ends[1], least)))
-
-
-def _spoilt(scenario: AUVScenario, rate: float) -> AUVScenario:
-    """The same with outliers in every manoeuvre."""
-    regimes = tuple(
-        dataclasses.replace(r, outlier_rate=rate) if r.process_scale > 1.0 else r
-        for r in scenario.regimes
-    )
-    return scenario.override(regimes=regimes)
 
 
 def drawn_regimes(ranges: AUVRanges, rng: np.random.Generator) -> tuple[Regime, ...]:

@@ -143,15 +143,15 @@ TRAINING = Training(
             "for any sea: conditions are drawn anew for each recording; what agents/pretrained holds",
             {
                 "randomise": True,
-                "untouched": 0.3,
+                "untouched": 0.4,
                 "references": True,
                 "reward": "relative",
                 "pool": 2000,
                 "decisions": 3_000_000,
                 "ranges": {
-                    "chance": 0.35,
+                    "chance": 0.3,
                     "measurement_scale": (0.1, 100.0),
-                    "dwell": (5.0, 350.0),
+                    "dwell": (8.0, 300.0),
                 },
             },
         ),

@@ -78,6 +78,8 @@ class LaneEngine:
     def __init__(self, settings: LaneSettings, lanes: int, trail: bool = False) -> None:
         self.settings = settings
         self.space = settings.SPACE
+        # names of an outcome's columns after the first three; made once, as every step needs them
+        self.info_fields: tuple[str, ...] = (*self.INFO_NAMES, *self.space.names)
         self.count = positive_int("num_envs", lanes)
         self._scenarios = self._find_scenarios()
         self.reference = self._reference_of(self._scenarios[0])
@@ -196,11 +198,6 @@ class LaneEngine:
         own = action_table(self.space, self.settings.action_parameters, row, residual=True)
         found: Array = (own[:, 1] - self.table[:, 1]) / self.table[:, 2]
         return found
-
-    @property
-    def info_fields(self) -> tuple[str, ...]:
-        """Names of an outcome's columns after the first three."""
-        return (*self.INFO_NAMES, *self.space.names)
 
     # ---- where recordings come from ----------------------------------------------------
 

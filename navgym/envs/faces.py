@@ -306,8 +306,10 @@ class LaneVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
 
 def known(names: Sequence[str], values: Sequence[float]) -> dict[str, float]:
     """A lane's information by name, without what is NaN: not known."""
-    told = zip(names, values, strict=True)
-    return {name: value for name, value in told if not math.isnan(value)}
+    found = dict(zip(names, values, strict=True))
+    if not math.isnan(sum(values)):  # one look instead of one per value
+        return found
+    return {name: value for name, value in found.items() if not math.isnan(value)}
 
 
 def checked_render_mode(render_mode: str | None) -> str | None:

@@ -38,12 +38,13 @@ from navgym.core.seeds import split_of
 from navgym.problem import problem_of
 from navgym.simulation import simulate_many
 from navgym.statespace.batch import StateSpaceBatch
-from navgym.statespace.filters.combiner import shapes
+from navgym.statespace.filters.combiner import UNITS, shapes
 from navgym.statespace.filters.modes import MODE_SETS
 from navgym.tuning.comparison import Comparison, Entry, rows_of
 from navgym.tuning.report import page as report
 from tests.agents import hand_made
 from tests.agents.both import AUV, DECK, run
+from tests.agents.mixtures import mixture
 
 # a vehicle that manoeuvres all the time, which the best fixed parameters of `nominal` know nothing of
 WRONG_MODEL = {"process_scale": 20.0, "steps": 150, "loss": 0.0}
@@ -250,7 +251,7 @@ def test_the_page_says_that_filters_which_learn_nothing_are_ahead(switching, tmp
 
 
 def test_a_combiner_that_learnt_nothing_is_the_bank(tmp_path, monkeypatch):
-    arrays = {name: np.zeros(shape) for name, shape in shapes(MODE_SETS["bank"], 3).items()}
+    arrays = {name: np.zeros(shape) for name, shape in shapes(MODE_SETS["bank"], UNITS).items()}
     combiner = Combiner(**arrays)
     combiner.save(tmp_path / "combiner")
     monkeypatch.setattr(evaluation, "PRETRAINED", tmp_path)
@@ -269,6 +270,28 @@ def test_a_combiner_that_learnt_nothing_is_the_bank(tmp_path, monkeypatch):
     assert result.consistency["bank + combiner"]["nees"] == pytest.approx(
         result.consistency["bank"]["nees"]
     )
+
+
+def test_a_mixture_stands_in_the_ladder_beside_the_combiner(tmp_path):
+    made = mixture()
+    (tmp_path / "own").mkdir()
+    path = made.save(tmp_path / "own" / "mixture")
+    combiners = load_combiners([path])
+    assert list(combiners)[-1] == "mixture own"
+    (found,) = benches({"idle": idle()}, combiners=combiners)
+    (result,) = found.own()
+    league = found.league
+    cases = league.cases(result.condition, 0, league.count(result.condition))
+    states = made.run(cases.batch, fallback=True).states
+    errors = league.errors(cases, states, ("rmse",))["rmse"]
+    np.testing.assert_allclose(result.main.errors["mixture own"], errors, rtol=1e-12)
+
+
+def test_jitter_is_how_far_parameters_move_from_decision_to_decision(bench):
+    (result,) = bench.own()
+    chosen = result.chosen["hand rule"]
+    assert result.jitter["hand rule"] > 0.0
+    assert np.ptp(chosen["process_noise_scale"]) > 0.0
 
 
 def test_the_fallback_runs_beside_and_is_counted(switching):

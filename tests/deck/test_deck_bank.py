@@ -82,7 +82,7 @@ def test_the_kernel_agrees_with_its_twin(case, short):
     found = run_bank([short], **columns)
     flexures = hypotheses.flexures_of(short.model)
     told = {"process" if n == "process_noise_scale" else n: v for n, v in columns.items()}
-    steps = short.steps if case == "defaults" else 50
+    steps = short.steps if case == "defaults" else 20
     wanted = twin.bank(
         short, found["tapes"][0][:steps], MODES, twin.Beliefs(**told),
         lambda _, j: flexures[int(j == 1)],

@@ -79,7 +79,7 @@ def test_the_first_fixes_after_a_gap_in_time_are_taken(name, gap):
 
 
 S, C = 0.35355, 0.86603
-BEAMS = np.array([[S, S, C], [-S, S, C], [-S, -S, C], [S, -S, C]])
+BEAMS = np.array([[S, S, C, 0], [-S, S, C, 0], [-S, -S, C, 0], [S, -S, C, 0]])  # a state unseen
 TWICE = np.array([[1.0, 0, 0, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 1, 0, 0]])
 
 
