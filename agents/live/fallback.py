@@ -43,7 +43,7 @@ class FallbackRule:
     filter with the best fixed parameters has missed them by less. The cost of a miss e is ln(1 + e²/R)
     per component, of the same scale for both filters; of the difference an exponential mean of `memory`
     decisions is kept, as a sum. A policy that was put around parameters which it was not
-    trained with is not in force before it is `ahead`.
+    trained with is in force only after `proof`.
 
     Args:
         margin: share of each element's range in training, or of 1 where the range is narrower,
@@ -55,7 +55,8 @@ class FallbackRule:
         recovery: successive decisions without one after which the policy is back.
         memory: decisions over which misses of fixes are compared.
         behind: sum of those by which the policy falls back.
-        ahead: sum of those by which it is back, or in force for the first time.
+        ahead: sum of those by which it is back.
+        proof: the same for a policy around other parameters, the first time included.
     """
 
     margin: float = 0.2
@@ -66,14 +67,16 @@ class FallbackRule:
     recovery: int = 10
     memory: int = 50
     behind: float = 1.0
-    ahead: float = 3.0
+    ahead: float = 1.0
+    proof: float = 3.0
 
     def __post_init__(self) -> None:
         within("margin", self.margin, 0.0)
         within("confidence", self.confidence, 0.0, 1.0)
         within("advantage", self.advantage, 0.0)
         within("behind", self.behind, 0.0)
-        within("ahead", self.ahead, -self.behind)
+        for name in ("ahead", "proof"):
+            within(name, getattr(self, name), -self.behind)
         for name in ("window", "patience", "recovery", "memory"):
             positive_int(name, getattr(self, name))
 
@@ -156,7 +159,8 @@ class Guard:
         self._lead *= 1.0 - 1.0 / rule.memory
         gained = float(tally[REFERENCE_MISS] - tally[MISS])
         self._lead += gained if math.isfinite(gained) else 0.0  # a filter that failed has no miss
-        self._trails = self._lead <= rule.ahead if self._trails else self._lead < -rule.behind
+        enough = rule.ahead if self._trusted else rule.proof
+        self._trails = self._lead <= enough if self._trails else self._lead < -rule.behind
 
     def _tell(self) -> None:
         trailing = TRAILS if self.proven else UNPROVEN

@@ -20,7 +20,7 @@ from navgym.tuning.cases import Cases
 STREAM = 0xC1  # first word of the seed sequence: no simulator's
 DRAWN = 8  # of the table's settings, beside those of the catalogue
 LOOKED = 8  # settings that are tried on each recording
-TUNED = 0.6  # share of recordings whose reference is the best of the table
+TUNED = 0.8  # share of recordings whose reference is the best of the table
 HOPELESS = 2.0  # errors of the best of the table
 CHUNK = 200  # recordings that are run at once
 

@@ -143,7 +143,7 @@ TRAINING = Training(
             "for any sea: conditions are drawn anew for each recording; what agents/pretrained holds",
             {
                 "randomise": True,
-                "untouched": 0.4,
+                "untouched": 0.6,
                 "references": True,
                 "reward": "relative",
                 "pool": 2000,
