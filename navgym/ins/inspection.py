@@ -19,7 +19,7 @@ from navgym.inspection.findings import Channel, Evidence, Finding
 
 XYZ = ("x", "y", "z")
 OFF = 0.03  # share of gravity by which the usual specific force may miss it
-FASTER, FEWEST = 1.25, 20  # fixes against the Doppler log's speed; stretches between fixes
+FASTER, FEWEST = 1.25, 8  # fixes against the Doppler log's speed; stretches between fixes
 _KIND = {
     "dvl": ("velocity", ("vx", "vy", "vz")), "water": ("velocity", ("vx", "vy", "vz")),
     "depth": ("depth", ("",)), "fix": ("position", ("north", "east", "down")),

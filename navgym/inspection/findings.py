@@ -19,6 +19,7 @@ KINDS: Mapping[str, tuple[str, str]] = {
     # the file
     "unreadable": (ERROR, "the reader refuses the file"),
     "text": (ERROR, "text stands where a number is needed"),
+    "untold": (ERROR, "the reader must be told something that no file says"),
     "columns": (ERROR, "no column, or more than one, could be what is needed"),
     "cut": (NOTE, "the last row is cut off"),
     # times

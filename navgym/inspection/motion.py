@@ -22,7 +22,7 @@ FEWEST = 8  # windows
 GAP = 5.0  # usual steps: what velocities say over a longer gap is left out
 BETTER = 4.0  # times the sum of squares: with 16 numbers, chance passes it less than once in 1e4
 EXPLAINED = 0.3  # share of the displacements that a good arrangement leaves at most
-SIGMAS = 5.0
+SIGMAS = 7.0  # of windows whose worth differs: fewer say too much
 SCALED, TURNED = 0.05, math.radians(3.0)  # what of scale and turn is worth a word
 LONGEST_DELAY, TRIED = 10.0, (0.1, 0.2, 0.5, 1.0, 2.0)  # s; beside multiples of the step
 EARNED, WORTH = (
@@ -104,9 +104,9 @@ class Motion:
         steps = np.linalg.norm(self.fixes[inner] - self.fixes[[k - 1 for k in inner]], axis=1)
         scatter = float(np.quantile(steps, 0.9))
         moved = self.fixes[j] - self.fixes[i]
-        told = v * (self.fix_time[j] - self.fix_time[i])
-        size = float(np.linalg.norm(told))
-        return bool(size > 5.0 * scatter and np.linalg.norm(moved) < 0.2 * size + scatter)
+        usual = float(np.median(np.diff(self.fix_time)))
+        size = float(np.linalg.norm(v)) * (self.fix_time[j] - self.fix_time[i])
+        return bool(size > 10.0 * scatter and np.linalg.norm(moved - v * usual) < scatter)
 
 
 # ---- what does not fit
@@ -243,13 +243,16 @@ def _delay(motion: Motion) -> Iterator[Finding]:
         np.concatenate([step * np.array([0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0]), TRIED])
     )
     grid = grid[(grid <= LONGEST_DELAY) & (grid >= 0.5 * step)]
-    best = (0.0, 0.0, 0.0)  # significance, delay, ratio
+    best = (0.0, 0.0, 0.0)  # ratio, delay, deviations
     for per in (2, 4, 8, 16, 32):
         at = motion.windows(max(len(motion.fix_time) // per, 1), float(grid.max(initial=0.0)))
         if len(at) > WINDOWS:
-            best = max(best, *(_gain(motion, at, late) for late in (*grid, *-grid)))
-    sigmas, late, ratio = best
-    if sigmas > EARNED and ratio > WORTH:
+            tried = (_gain(motion, at, late) for late in (*grid, *-grid))
+            best = max(
+                best, *((r, late, sigmas) for sigmas, late, r in tried if sigmas > EARNED), best
+            )
+    ratio, late, sigmas = best
+    if ratio > WORTH:
         who, what = ("velocity", "velocities") if late > 0.0 else ("position", "positions")
         yield Finding(
             "delay", who,

@@ -32,6 +32,7 @@ _SAID = (
     (r"stop of its range|saturat|at their (largest|least)|times? at exactly|stands? at", "saturation"),
 )  # fmt: skip
 _REFUSED = (
+    (r"is not known: pass", "untold"),
     (r"the time goes back|as where a clock is set", "clock set"),
     (r"name a column with finer times|check the unit of the times", "stamps"),
     (r"look like degrees|must be within ±|no row has both latitude", "degrees"),

@@ -19,7 +19,7 @@ from navgym.inspection.findings import Channel, Finding
 
 ALARM = 1e-6  # chance, per channel, that a test says something of a sound one
 FEWEST = 50  # received values below which little can be said
-FAR = 50.0  # nine-tenths quantiles of the steps: Student-t noise with three degrees goes there once in 1e6
+FAR = 80.0  # nine-tenths quantiles of the steps: Student-t noise with three degrees goes there once in 4e6
 WINDOW = 11  # steps whose median is the usual slope
 RETURN = 20  # steps within which an outlier is over: later, it is a jump and a jump back
 ALIKE = 0.25  # share by which the way back may miss the way there
