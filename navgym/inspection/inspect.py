@@ -93,8 +93,10 @@ def _joined(findings: Sequence[Finding]) -> Finding:
 def _sorted(findings: Sequence[Finding]) -> tuple[Finding, ...]:
     """The worst first, and each thing once: what the reader said of a kind and channel goes first."""
     kept: dict[tuple[str, str], Finding] = {}
+    turned = any(f.kind == "axes" for f in findings)
     for f in findings:
-        kept.setdefault((f.kind, f.channel), f)
+        if not (turned and f.kind == "delay"):  # of axes that are wrong no clock can be told
+            kept.setdefault((f.kind, f.channel), f)
     return tuple(sorted(kept.values(), key=lambda f: SEVERITIES.index(f.severity)))
 
 

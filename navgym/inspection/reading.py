@@ -130,5 +130,7 @@ def _refused(text: str) -> Finding:
 
 def _channel(text: str) -> str:
     """What a sentence begins with or names, if that is a channel."""
-    found = re.match(r"'([^']+)':|(\w+): |\d+% of the rows with ([\w ]+?) repeat", text)
+    found = re.match(
+        r"(\w+) says exactly|'([^']+)':|(\w+): |\d+% of the rows with ([\w ]+?) repeat", text
+    )
     return next((g for g in found.groups() if g), "") if found else ""

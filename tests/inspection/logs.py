@@ -197,7 +197,7 @@ def _(c):
         c[n] *= 100.0
 
 
-@_simple("scale", "velocities are a fifth too large", "vx and vy")
+@_simple("scale", "velocities are a third too large", "vx and vy")
 def _(c):
     for n in ("vx", "vy"):
         c[n] *= 1.3
