@@ -54,7 +54,7 @@ def looked_at(page, width, folder):
     )
     outer = folder / f"outer-{width}.html"  # a frame may be narrower than a window
     outer.write_text(
-        f'<!doctype html><body style="margin:0"><iframe id="f" srcdoc="{html.escape(text)}" '
+        f'<!doctype html><body style="margin:0"><iframe id="f" scrolling="no" srcdoc="{html.escape(text)}" '
         f'style="width:{width}px;height:2000px;border:0"></iframe><script>setInterval(() => {{'
         'const s = document.getElementById("f").contentDocument.getElementById("said");'
         'if (s && !document.getElementById("got")) { const p = document.createElement("pre"); p.id = "got";'
