@@ -42,11 +42,9 @@ def _short(value: Any) -> str:
     if value is None or (isinstance(value, Mapping) and not value):
         return ""
     if isinstance(value, np.ndarray):
-        return (
-            str(value.tolist())
-            if value.ndim < 2 and value.size <= FEW
-            else f"<{value.dtype} {value.shape}>"
-        )
+        if value.ndim < 2 and value.size <= FEW:
+            return f"[{', '.join(f'{x:.6g}' for x in np.ravel(value))}]"
+        return f"<{value.dtype} {value.shape}>"
     if isinstance(value, Mapping):
         return f"{{{', '.join(map(str, value))}}}"
     text = repr(value)

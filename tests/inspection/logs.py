@@ -1,6 +1,7 @@
 """Made-up logs: a vehicle that sails lazy eights, and one thing that is wrong with what its logger wrote."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from navgym.ins.csv_set import write_ins_csv
 from navgym.ins.recording import Aiding
 
 ROWS = 400
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def eights(seed=0, rows=ROWS, step=1.0):
@@ -283,13 +285,13 @@ def nothing_says_what_columns_hold(folder):
 
 def _deck(folder, **changed):
     recording = dataclasses.replace(
-        navgym.simulate("deck/paper", seed=1, duration=60.0), check_units=False, **changed
+        navgym.simulate("deck/paper", seed=1, duration=40.0), check_units=False, **changed
     )
     return recording.save(folder / "deck.npz")
 
 
 def _deck_rates(**more):
-    return navgym.simulate("deck/paper", seed=1, duration=60.0, **more)
+    return navgym.simulate("deck/paper", seed=1, duration=40.0, **more)
 
 
 @defect("gravity", "sub_acc")
