@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 
 import navgym
-from navgym.core.tables import write_table
 from navgym.deck.csv_log import write_deck_csv
 from navgym.ins.csv_set import write_ins_csv
 from navgym.ins.recording import Aiding
@@ -381,4 +380,4 @@ def a_gyro_stands_at_its_stop(folder):
     return _ins(folder, dataclasses.replace(r, angle=angle, check_units=False))
 
 
-__all__ = ["DEFECTS", "ROWS", "eights", "ins", "write_table", "written"]
+__all__ = ["DEFECTS", "ROWS", "eights", "ins", "written"]

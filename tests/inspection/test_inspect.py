@@ -1,14 +1,21 @@
 """A defect is found by its name, and nothing is found in a sound log."""
 
+import json
+import re
+import shlex
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
 import navgym
+from navgym import command
 from navgym.auv.csv_log import write_csv
 from navgym.core.data import absent, data_folder
 from navgym.deck.csv_log import write_deck_csv
 from navgym.ins.csv_set import write_ins_csv
-from navgym.inspection.findings import KINDS
+from navgym.inspection.findings import KINDS, SEVERITIES, Finding
 from navgym.inspection.inspect import inspect
 from navgym.inspection.noise import allan, densities
 from navgym.inspection.timing import losses
