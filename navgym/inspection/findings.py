@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -174,7 +175,8 @@ class Losses:
     def bursts(self) -> bool:
         """Whether a loss makes the next more likely, by three standard deviations."""
         lost = max(self.share * self.rows, 1.0)
-        return self.after_loss - self.share > 3.0 * np.sqrt(self.share * (1.0 - self.share) / lost)
+        chance = math.sqrt(self.share * (1.0 - self.share) / lost)
+        return self.after_loss - self.share > 3.0 * chance
 
 
 @dataclass(frozen=True, eq=False)

@@ -72,19 +72,19 @@ class Motion:
         total = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
         return np.stack([np.interp(at, self.time, axis) for axis in total.T], axis=-1)
 
-    def windows(self, count: int, margin: float = 0.0) -> Array:
+    def windows(self, count: int, margin: float = 0.0) -> NDArray[np.intp]:
         """(N + 1,) indices of fixes that bound windows which the velocities cover."""
         low, high = self.time[0] + margin, self.time[-1] - margin
         inside = np.flatnonzero((self.fix_time >= low) & (self.fix_time <= high))
         return inside[:: max(len(inside) // count, 1)]
 
-    def moved(self, at: Array, velocity: Array | None = None) -> tuple[Array, Array]:
+    def moved(self, at: NDArray[np.intp], velocity: Array | None = None) -> tuple[Array, Array]:
         """(N, 2) displacements between fixes, and what velocities make of them; none over gaps of these."""
         told = np.diff(self.integral(self.fix_time[at], velocity), axis=0)
         whole = self.whole(at)
         return np.diff(self.fixes[at], axis=0)[whole], told[whole]
 
-    def whole(self, at: Array) -> NDArray[np.bool_]:
+    def whole(self, at: NDArray[np.intp]) -> NDArray[np.bool_]:
         """(N,) windows in which no velocity is missing for long."""
         steps = np.diff(self.time)
         bad = np.concatenate([[0], np.cumsum(steps > GAP * np.median(steps))])
@@ -140,7 +140,9 @@ def _left(moved: Array, told: Array) -> tuple[float, float]:
     return factor, float(((moved - factor * told) ** 2).sum())
 
 
-def _body(motion: Motion, at: Array, heading: Array, heading_time: Array) -> list[Finding]:
+def _body(
+    motion: Motion, at: NDArray[np.intp], heading: Array, heading_time: Array
+) -> list[Finding]:
     c, s = (np.interp(motion.time, heading_time, f(heading)) for f in (np.cos, np.sin))
     x, y = motion.velocity.T
     turned = np.stack([c * x - s * y, s * x + c * y], axis=-1)
@@ -160,7 +162,7 @@ _SIGNS = [np.diag([a, b]) for a in (1.0, -1.0) for b in (1.0, -1.0)]
 _ARRANGED = [*_SIGNS, *(np.array([[0.0, 1.0], [1.0, 0.0]]) @ s for s in _SIGNS)]
 
 
-def _arrangement(motion: Motion, at: Array) -> Iterator[Finding]:
+def _arrangement(motion: Motion, at: NDArray[np.intp]) -> Iterator[Finding]:
     moved, told = motion.moved(at)
     left = [_left(moved, told @ S.T)[1] for S in _ARRANGED]
     best = int(np.argmin(left))
@@ -181,7 +183,7 @@ def _arrangement(motion: Motion, at: Array) -> Iterator[Finding]:
                   f"exchange {north} and {east}", options)  # fmt: skip
 
 
-def _scale(motion: Motion, at: Array) -> Iterator[Finding]:
+def _scale(motion: Motion, at: NDArray[np.intp]) -> Iterator[Finding]:
     """How much farther positions move than velocities say, between the bounds of two regressions.
 
     Noise of the velocities makes the factor of displacements on them too small, noise of the positions that of
@@ -217,7 +219,7 @@ def _scale(motion: Motion, at: Array) -> Iterator[Finding]:
     yield Finding("scale", names, said, "calibrate the scale of the velocities")
 
 
-def _turn(motion: Motion, at: Array) -> Iterator[Finding]:
+def _turn(motion: Motion, at: NDArray[np.intp]) -> Iterator[Finding]:
     moved, told = motion.moved(at)
     cross = float((told[:, 0] * moved[:, 1] - told[:, 1] * moved[:, 0]).sum())
     along = float((told * moved).sum())
@@ -262,7 +264,7 @@ def _delay(motion: Motion) -> Iterator[Finding]:
         )  # fmt: skip
 
 
-def _gain(motion: Motion, at: Array, late: float) -> tuple[float, float, float]:
+def _gain(motion: Motion, at: NDArray[np.intp], late: float) -> tuple[float, float, float]:
     """Deviations of chance by which windows fit better with velocities `late` s late; the delay; ratio of squares."""
     t, moved = motion.fix_time[at], np.diff(motion.fixes[at], axis=0)
     own, other = (

@@ -7,7 +7,7 @@ Gaussian, with a tenth of outliers of ten sigma, or Student-t with three degrees
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -122,8 +122,9 @@ def _steps(channel: Channel) -> Iterator[Finding]:
         if scale > 0.0
         else np.empty(0, int)
     )
-    big = np.array([k for k in big if _possible(channel.kind, abs(float(left[k])))], int)
-    spikes, jumps = _paired(big, left)
+    spikes, jumps = _paired(
+        [int(k) for k in big if _possible(channel.kind, abs(float(left[k])))], left
+    )
     if channel.kind in LEAST:  # a slam is no reset
         jumps = []
     if spikes:
@@ -149,11 +150,11 @@ def _possible(kind: str, size: float) -> bool:
     return size > LEAST.get(kind, 0.0) and not turned
 
 
-def _paired(big: Array, left: Array) -> tuple[list[int], list[int]]:
+def _paired(big: Sequence[int], left: Array) -> tuple[list[int], list[int]]:
     """Steps that are soon undone, and those that are not."""
     spikes: list[int] = []
     jumps: list[int] = []
-    rest = [int(k) for k in big]
+    rest = list(big)
     while rest:
         k = rest.pop(0)
         back = [
