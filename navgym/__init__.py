@@ -1,6 +1,7 @@
 """navgym: Gymnasium environments and tuning tools for adaptive navigation filters.
 
 Names load on first use, so `import navgym` stays quick: `simulate`, `scenarios`, `seeds`, `read`,
+`inspect`, `sample_log`, `write_csv`,
 `geographic`, `estimate`, `smooth`, `filters`, `parameter_space`, and the data classes `Recording`,
 `LinearModel`, `CoordinatedTurnModel`, `Estimate`, `Parameter`, `ParameterSpace`; for two IMUs on a deck
 `DualIMURecording`, `DeckModel`, `FlexureModel`, `DeckEstimate`, `flexure_increments`, `identify`,
@@ -36,12 +37,15 @@ _HOME = {
     "flexure_increments": "navgym.deck.estimation",
     "geographic": "navgym.auv.geodesy",
     "identify": "navgym.identification",
+    "inspect": "navgym.inspection.inspect",
     "parameter_space": "navgym.estimation",
     "read": "navgym.readers",
+    "sample_log": "navgym.samples",
     "scenarios": "navgym.simulation",
     "seeds": "navgym.core.seeds",
     "simulate": "navgym.simulation",
     "smooth": "navgym.estimation",
+    "write_csv": "navgym.auv.csv_log",
 }
 
 __all__ = [
@@ -63,15 +67,19 @@ __all__ = [
     "flexure_increments",
     "geographic",
     "identify",
+    "inspect",
     "parameter_space",
     "read",
+    "sample_log",
     "scenarios",
     "seeds",
     "simulate",
     "smooth",
+    "write_csv",
 ]
 
 if TYPE_CHECKING:
+    from navgym.auv.csv_log import write_csv
     from navgym.auv.geodesy import geographic
     from navgym.auv.live_bank import LiveBank
     from navgym.core.parameters import Parameter, ParameterSpace
@@ -83,7 +91,9 @@ if TYPE_CHECKING:
     from navgym.estimation import Estimate, estimate, filters, parameter_space, smooth
     from navgym.identification import identify
     from navgym.inertial.flexure import FlexureModel
+    from navgym.inspection.inspect import inspect
     from navgym.readers import read
+    from navgym.samples import sample_log
     from navgym.simulation import scenarios, simulate
     from navgym.statespace.models import LinearModel
     from navgym.statespace.recording import Recording

@@ -50,6 +50,9 @@ COMMANDS = {
         "navgym.tuning.commands.demo:main",
         "tune, compare every filter, replay tracks, write a page", "tuning",
     ),
+    "inspect": Command(
+        "navgym.inspect_command:main", "say what is in a log, what is wrong with it, and what to run next"
+    ),
     "read": Command("navgym.read_command:main", "say what a log holds, before anything is made of it"),
     "tune": Command(
         "navgym.tuning.commands.tune:main",

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from navgym import exports
 from navgym.core.checks import Array, one_of
 from navgym.core.parameters import ParameterSpace
+from navgym.core.tables import write_table
 from navgym.metrics.whiteness import whiteness
-from navgym.problem import PROBLEMS, Filter, Problem, Run, problem_of, problems, problems_with
+from navgym.problem import PROBLEMS, Filter, Problem, Run, load, problem_of, problems, problems_with
 from navgym.tuned import settled
 
 if TYPE_CHECKING:
@@ -40,6 +43,8 @@ class Estimate:
             foretold its measurements, for a while, far worse than who repeats the last ones (a deck's:
             its innovations have been a hundred times what it believes).
         extras: further outputs of some filters, such as a bank's mode weights.
+        recording: what was filtered, for plots and exports; None where a filter was run otherwise.
+        parameters: as the filter was given them; None for its defaults.
     """
 
     time: Array
@@ -50,6 +55,15 @@ class Estimate:
     log_likelihood: Array
     diverged: bool
     extras: Mapping[str, Any] = field(default_factory=dict)
+    recording: Any = None
+    parameters: Any = None
+
+    def __repr__(self) -> str:
+        steps, n = self.states.shape
+        span = float(self.time[-1] - self.time[0])
+        return (
+            f"<{type(self).__name__}: {steps} steps over {span:.6g} s, {n} states, {self.health}>"
+        )
 
     @property
     def health(self) -> str:
@@ -84,6 +98,77 @@ class Estimate:
             extras={name: each[0] for name, each in run.extras.items()},
             **more,
         )
+
+    # ---- what others read, and what people look at
+
+    @property
+    def columns(self) -> dict[str, Array]:
+        """What `to_csv` writes, (T,) each by name: time, states, their standard deviations, NIS, likelihood."""
+        names = state_names(self.recording, self.states.shape[1])
+        deviations = np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2))
+        found = {"time": self.time} | dict(zip(names, self.states.T, strict=True))
+        found |= {f"sd_{n}": d for n, d in zip(names, deviations.T, strict=True)}
+        return found | {"nis": self.nis, "log_likelihood": self.log_likelihood}
+
+    @property
+    def pose(self) -> tuple[Array, Array]:
+        """Position (T, 3), m, and attitude (T, 4), quaternions, scalar last, as far as the states hold them."""
+        place = list(getattr(getattr(self.recording, "model", None), "position", (0, 2)))[:3]
+        position = np.zeros((len(self.time), 3))
+        position[:, : len(place)] = self.states[:, place]
+        return position, np.tile([0.0, 0.0, 0.0, 1.0], (len(self.time), 1))
+
+    @property
+    def places(self) -> Array:
+        """(T, 3) latitude and longitude, °, and height, m; ValueError where the recording has no origin."""
+        meta = getattr(self.recording, "meta", {})
+        if meta.get("origin") is None:
+            raise ValueError(
+                "the estimate has no place on the Earth: read the log from latitude and longitude, or with origin=."
+            )
+        position, _ = self.pose
+        latitude, longitude = load("navgym.auv.geodesy:from_plane")(*position.T[:2], meta["origin"])
+        return np.stack([latitude, longitude, np.full(len(latitude), meta["origin"][2])], axis=-1)
+
+    def to_csv(self, path: str | os.PathLike[str]) -> Path:
+        """Write `columns` as a text file, atomically; returns the path."""
+        return write_table(path, {name: values.tolist() for name, values in self.columns.items()})
+
+    def to_tum(self, path: str | os.PathLike[str]) -> Path:
+        """Write poses as evo and PlotJuggler read them, a row of `time x y z qx qy qz qw` per step; returns the path.
+
+        Axes are the estimate's own: north, east, down. Attitude is the identity where no state holds it, positions are
+        zero on a deck. Steps after a failure are left out.
+        """
+        return exports.to_tum(self, Path(path))
+
+    def to_geojson(self, path: str | os.PathLike[str]) -> Path:
+        """Write the track as GeoJSON, times and deviations beside it; ValueError without an origin."""
+        return exports.to_geojson(self, Path(path))
+
+    def to_gpx(self, path: str | os.PathLike[str]) -> Path:
+        """Write the track as GPX 1.1, with dates where the log has them; ValueError without an origin."""
+        return exports.to_gpx(self, Path(path))
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
+        """Draw the track with ellipses, errors where the truth is known, innovations, NIS and parameters over time.
+
+        Args:
+            path: of a picture to write, such as estimate.png; None: nothing is written.
+
+        Returns a `matplotlib.figure.Figure`. Needs matplotlib: pip install 'navgym[render]'.
+        """
+        return load("navgym.plotting:plot")(self, None if path is None else Path(path))
+
+
+def state_names(recording: Any, count: int) -> list[str]:
+    """Names of states: px, vx, py, vy, ... where the recording's model says which they are, else x1, x2, ..."""
+    names = [f"x{i + 1}" for i in range(count)]
+    model = getattr(recording, "model", None)
+    for what in ("position", "velocity"):
+        for index, axis in zip(getattr(model, what, ()), "xyz", strict=False):
+            names[index] = f"{what[0]}{axis}"
+    return names
 
 
 def filters() -> dict[str, str]:
@@ -174,7 +259,7 @@ def estimate(
     """
     problem, chosen, batch, given = _asked(filter_name, recording, parameters)
     run = problem.run(chosen, batch, given, decision_interval, everything=True)
-    return problem.estimate(chosen, batch, run)
+    return _kept(problem.estimate(chosen, batch, run), recording, given)
 
 
 @overload
@@ -229,7 +314,14 @@ def smooth(
     """
     problem, chosen, batch, given = _asked(filter_name, recording, parameters)
     run = problem.smooth(chosen, batch, given, decision_interval)
-    return problem.estimate(chosen, batch, run)
+    return _kept(problem.estimate(chosen, batch, run), recording, given)
+
+
+def _kept(found: Any, recording: Any, given: Any) -> Any:
+    """An estimate with what it was made of, where it is of ours."""
+    if not isinstance(found, Estimate):
+        return found
+    return replace(found, recording=recording, parameters=given)
 
 
 def _asked(

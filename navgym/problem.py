@@ -22,6 +22,9 @@ from navgym.core.checks import Array, one_of, positive_int
 from navgym.core.parameters import ParameterSpace, parameter_table
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from navgym.inspection.findings import Evidence
     from navgym.metrics.measures import Measure, Quantity
 
 
@@ -469,6 +472,8 @@ class Problem:
         marks: by format, a regular expression that a file's first lines, or the names in a folder,
             hold where they are in it.
         told: (recording) to lines of a name and a text, what it holds beside times; None: nothing.
+        evidence: (recording, path of its log, options that its reader was told) to a
+            `navgym.inspection.findings.Evidence`, for `navgym inspect`; None: nothing beyond what any log shows.
         noise: (filter, batch) to the scales of the batch's models that stand beside the filter's own
             parameters.
         believing: (batch, values of those, (N or 1, ·)) to the batch whose models have them.
@@ -516,6 +521,7 @@ class Problem:
     smoother: Callable[[Filter, Any, Array, int, Run], tuple[Array, Array]] | None = None
     marks: Mapping[str, str] = field(default_factory=dict)
     told: Callable[[Any], list[tuple[str, str]]] | None = None
+    evidence: Callable[[Any, Path, Mapping[str, Any]], Evidence] | None = None
     noise: Callable[[Filter, Any], ParameterSpace] = lambda _, __: ParameterSpace(())
     believing: Callable[[Any, Array], Any] = lambda batch, _: batch
     noises: Callable[[Any], Mapping[str, Believed]] = lambda _: {}

@@ -230,8 +230,8 @@ def table(found: Findings) -> Table:
 
 
 NOW = (
-    "now your log, a text file with a column time and any of px, vx, py, vy:\n"
-    "    navgym tune --filter bank --log my.csv --read position_noise 1.5"
+    "now your log, a text file with a column time and any of px, vx, py, vy, lat, lon:\n"
+    "    navgym inspect my.csv"
 )
 
 

@@ -8,12 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from navgym.agents.evaluation.rollout import problem_in
 from navgym.agents.training.configuration import Configuration
 from navgym.agents.training.logs import RATES, earlier
 from navgym.agents.training.randomisation import drawn
-from navgym.agents.training.references import drawn as drawn_references
-from navgym.agents.training.references import settings_table
+from navgym.agents.training.references import starts_of
 from navgym.agents.training.validation import engine_on
 from navgym.agents.training.vec_env import LaneVecEnv
 from navgym.core.checks import one_of
@@ -56,15 +54,6 @@ def recording(config: Configuration, number: int, seed: int) -> Any:
     return simulate_many(scenario, [seed])[0]
 
 
-def references(config: Configuration, recordings: Sequence[Any]) -> Any:
-    """What actions start from: the configuration's reference, or with `references` one per recording."""
-    if not config.references:
-        return config.reference
-    problem = problem_in(config.environment)
-    table = settings_table(problem, config.reference, config.action_parameters, config.seed)
-    return drawn_references(problem, recordings, table, config.seed)
-
-
 def from_logs(config: Configuration) -> list[Any]:
     """Recordings of the training logs, about `pool` of them where the format draws noise and losses.
 
@@ -101,7 +90,7 @@ def material(config: Configuration) -> Material:
     else:
         needed = _checked(config, recording(config, 0, chosen[0]), config.pool)
         made = [recording(config, i, seed) for i, seed in enumerate(chosen)]
-    engine = engine_on(config, made, references(config, made), config.lanes)
+    engine = engine_on(config, made, starts_of(config, made), config.lanes)
     columns = columns_of(config, engine.observation_names)
     env = LaneVecEnv(engine, desynchronise=True, columns=columns, reach=config.reach)
     return Material(env, needed, (chosen.start, chosen.stop - 1), len(made), columns)

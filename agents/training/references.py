@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from navgym.agents.evaluation.rollout import problem_in
+from navgym.agents.training.configuration import Configuration
 from navgym.core.checks import Array
 from navgym.core.parameters import ParameterSpace
 from navgym.problem import Problem
@@ -25,6 +27,15 @@ HOPELESS = 2.0  # errors of the best of the table
 CHUNK = 200  # recordings that are run at once
 
 Reference = Mapping[str, Any]
+
+
+def starts_of(config: Configuration, recordings: Sequence[Any]) -> Any:
+    """What actions start from: the configuration's reference, or with `references` one per recording."""
+    if not config.references:
+        return config.reference
+    problem = problem_in(config.environment)
+    table = settings_table(problem, config.reference, config.action_parameters, config.seed)
+    return drawn(problem, recordings, table, config.seed)
 
 
 def settings_table(

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from navgym.agents.evaluation.rollout import problem_in
 from navgym.agents.training.configuration import Configuration
 from navgym.agents.training.randomisation import drawn
+from navgym.agents.training.references import starts_of
 from navgym.core.checks import Array
 from navgym.core.seeds import seeds
 from navgym.envs.base import LaneEngine
@@ -182,11 +183,9 @@ class Validation:
 
     def _drawn(self, recordings: list[Any]) -> Arena:
         """The arena of drawn conditions; with `references` each recording has a zero line of its own."""
-        from navgym.agents.training.material import references
-
         if not self.config.references:
             return self._arena(RANDOMISED, recordings, self.config.reference)
-        engine = engine_on(self.config, recordings, references(self.config, recordings))
+        engine = engine_on(self.config, recordings, starts_of(self.config, recordings))
         nothing = np.zeros((engine.count, len(engine.table)), dtype=np.float32)
         return Arena(RANDOMISED, engine, play(engine, lambda _: nothing).reference)
 

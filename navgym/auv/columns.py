@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from navgym.auv.fields import GEOGRAPHIC, SENSORS, Field, means
 from navgym.auv.geodesy import LIMITS, degrees_of, degrees_of_nmea, signed, to_plane
-from navgym.auv.rows import is_held, repeats, sentinel
+from navgym.auv.rows import sentinel
 from navgym.core.checks import Array, one_of
 from navgym.core.clocks import Times, read_times
 from navgym.core.layout import LOST
 from navgym.core.notes import Notes
+from navgym.core.repeats import is_held, repeats
 from navgym.core.tables import Table
 from navgym.core.units import DEGREE
 

@@ -219,6 +219,7 @@ PROBLEM = Problem(
     brief={"steps": 10},
     readers={"akit": "navgym.auv.akit:read_akit", "csv": "navgym.auv.csv_log:read_csv"},
     told=lazy("navgym.auv.told:told"),
+    evidence=lazy("navgym.auv.inspection:evidence"),
     marks={"akit": r"\bGT_trajectory\d+\.csv"},
     filters=CATALOGUE,
     stack=StateSpaceBatch.of,

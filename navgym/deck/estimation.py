@@ -26,7 +26,7 @@ from navgym.problem import Filter, Run
 UNOBSERVED = np.radians(0.5)  # standard deviation of an attitude that counts as not observed
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class DeckEstimate(Estimate):
     """What a deck filter made of one recording. K filter steps; angles in rad, main IMU's axes.
 
@@ -55,6 +55,27 @@ class DeckEstimate(Estimate):
     theta_rate: Array
     attitude_error: Array | None
     unobserved: Array
+
+    @property
+    def columns(self) -> dict[str, Array]:
+        """Time, attitude (qx, qy, qz, qw), deformation and its rate (rad, rad/s), attitude error (arcmin) where it is known."""
+        parts = {"q": ("xyzw", self.attitude), "static_": ("xyz", self.static), "theta_": ("xyz", self.theta),
+                 "theta_rate_": ("xyz", self.theta_rate)}  # fmt: skip
+        if self.attitude_error is not None:
+            parts["attitude_error_"] = ("xyz", self.attitude_error)
+        named = {
+            f"{n}{a}": x
+            for n, (axes, values) in parts.items()
+            for a, x in zip(axes, values.T, strict=True)
+        }
+        return (
+            {"time": self.time} | named | {"nis": self.nis, "log_likelihood": self.log_likelihood}
+        )
+
+    @property
+    def pose(self) -> tuple[Array, Array]:
+        """No position, (K, 3) zeros, and the attitude of the sub in the main IMU's axes (K, 4), scalar last."""
+        return np.zeros((len(self.time), 3)), self.attitude
 
     @property
     def innovation_variance(self) -> Array:

@@ -205,6 +205,7 @@ PROBLEM = Problem(
         "repoimu": "navgym.deck.public_logs:read_repoimu",
     },
     told=lazy("navgym.deck.told:told"),
+    evidence=lazy("navgym.deck.inspection:evidence"),
     marks={
         "deck_csv": r"\b(main|sub)_(gyro|acc)_[xyz]\b",
         "multi_imu": r"\bpath_\d+_IMU_\d+\.csv",

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from navgym.core.checks import Array
 from navgym.core.parameters import ParameterSpace
@@ -17,6 +18,7 @@ from navgym.ins.batch import InsBatch
 from navgym.ins.catalogue import Ins
 from navgym.ins.error_state import LANE
 from navgym.ins.layout import BA, BG, COLUMNS, PHI, STATES, R, V
+from navgym.ins.simulation import local
 from navgym.problem import Filter, Run
 
 RULES = ("trust", "student", "correntropy", "variational", "bank", "oracle")  # the kernel's numbers
@@ -27,6 +29,10 @@ OFF = {
     "student_freedom": 4.0, "kernel_width": 50.0, "forgetting": 0.97, "vb_iterations": 3.0,
     "vibration_meter": 0.0,
 }  # fmt: skip
+_NAMED = (
+    ("", ("north", "east", "down")), ("v", ("n", "e", "d")), ("", ("roll", "pitch", "heading")), ("bg_", "xyz"), ("ba_", "xyz"),
+    ("iron_", "xyz"), ("dvl_", ("scale", "misalignment")), ("current_", ("north", "east")),
+)  # fmt: skip
 UNKNOWN = 5.0  # °, standard deviation of a heading that counts as not known
 NO_GATE = 1e4  # a gate of this and more is off
 
@@ -91,7 +97,7 @@ def columns_of(space: ParameterSpace) -> NDArray[np.int64]:
     return np.array([names.index(c) if c in names else -1 for c in COLUMNS])
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class InsEstimate(Estimate):
     """What an INS filter made of one recording of K filter steps.
 
@@ -135,6 +141,36 @@ class InsEstimate(Estimate):
     def angles(self) -> Array:
         """(K, 3) roll, pitch, heading, rad."""
         return self.states[:, PHI]
+
+    @property
+    def columns(self) -> dict[str, Array]:
+        """Time, places, states and their standard deviations by name, NIS and likelihood, (K,) each."""
+        names = [f"{n}{axis}" for n, axes in _NAMED for axis in axes]
+        places = dict(zip(("latitude", "longitude", "height"), self.places.T, strict=True))
+        states = dict(zip(names, self.states.T, strict=True))
+        deviations = {f"sd_{n}": d for n, d in zip(names, self.deviations.T, strict=True)}
+        return (
+            {"time": self.time}
+            | places
+            | states
+            | deviations
+            | {"nis": self.nis, "log_likelihood": self.log_likelihood}
+        )
+
+    @property
+    def pose(self) -> tuple[Array, Array]:
+        """Position (K, 3), m, north, east, down, and attitude (K, 4), body to these, scalar last."""
+        good = np.isfinite(self.angles).all(axis=1)
+        turned = np.full((len(self.time), 4), np.nan)
+        turned[good] = Rotation.from_euler("ZYX", self.angles[good][:, ::-1]).as_quat()
+        return self.position, turned
+
+    @property
+    def places(self) -> Array:
+        """(K, 3) latitude and longitude, °, and height, m."""
+        metres = local(np.add(self.origin, [1e-6, 1e-6, 0.0])[None], self.origin)[0, :2] / 1e-6
+        angles = np.degrees(self.position[:, :2] / metres + self.origin[:2])
+        return np.column_stack([angles, self.origin[2] - self.position[:, 2]])
 
     @property
     def gyro_bias(self) -> Array:

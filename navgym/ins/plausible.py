@@ -139,7 +139,9 @@ def clocks(recording: InertialRecording) -> list[str]:
             continue
         fits = {shift: _nis(_moved(part, name, shift)) * dof for shift in MOVING}
         shift, best = min(fits.items(), key=lambda each: each[1])
-        if own - best > EARNED + SHARE * own:
+        # outliers that meet another sensor's measurements in one step spoil the fit there: then any move helps, either way
+        other = min(nis for moved, nis in fits.items() if moved * shift < 0.0)
+        if min(own, other) - best > EARNED + SHARE * own:
             said.append(
                 f"{name}: its measurements fit better if they were made about {abs(shift):g} s "
                 f"{'later' if shift > 0 else 'earlier'} than they are stamped (NIS {best:.0f} instead of {own:.0f} in all): "

@@ -193,6 +193,7 @@ PROBLEM = Problem(
     brief={"duration": 4.0},
     readers={"akit_ins": "navgym.ins.akit:read_akit_ins", "ins_csv": "navgym.ins.csv_set:read_ins_csv"},
     told=lazy("navgym.ins.told:told"),
+    evidence=lazy("navgym.ins.inspection:evidence"),
     marks={"ins_csv": r"\bimu\.csv"},
     filters=CATALOGUE,
     stack=lazy("navgym.ins.batch:InsBatch.of"),

@@ -15,13 +15,17 @@ from numpy.typing import ArrayLike, NDArray
 from navgym.core import storage as _storage
 from navgym.core.checks import Array, real_array, shaped
 from navgym.core.frozen import Frozen
+from navgym.core.stops import saturated
 from navgym.inertial.earth import GRAVITY
 from navgym.ins.layout import STATES
 from navgym.ins.model import AidingModel, InsModel
-from navgym.ins.stops import CHANNELS, saturated
 
 IMPOSSIBLE = 1e9  # what no sensor measures, but a damaged file holds
 UNEVEN = 0.02  # by how much of it an IMU's step may miss the usual one
+CHANNELS = {
+    "angle": ("gyro_x", "gyro_y", "gyro_z"),
+    "velocity": ("acc_x", "acc_y", "acc_z"),
+}
 TRUTH = STATES  # columns of the truth: those of the filters' states
 
 
@@ -94,7 +98,7 @@ class InertialRecording(Frozen):
         imu_scale: (K,) the same of the IMU's white noise, or None.
         meta: anything that JSON can hold: where the recording comes from, regime names.
         check_units: whether to refuse data whose units or axes cannot be, and to take samples at the stop of
-            a sensor's range for missing, with a warning (`navgym.ins.stops`).
+            a sensor's range for missing, with a warning (`navgym.core.stops`).
 
     K is the number of filter steps, T // model.samples_per_step.
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import navgym
 from navgym.auv.csv_log import write_csv
-from navgym.auv.rows import is_held, repeats
+from navgym.core.repeats import is_held, repeats
 
 ROWS = 30
 RNG = np.random.default_rng(12)

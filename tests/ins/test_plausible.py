@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import navgym
+from navgym.core.stops import saturated
 from navgym.inertial.earth import EARTH_RATE, GRAVITY
 from navgym.ins.csv_set import read_ins_csv, write_ins_csv
 from navgym.ins.model import AidingModel, InsModel
 from navgym.ins.plausible import TURNS, axes, clocks, concerns
 from navgym.ins.recording import Aiding, InertialRecording
 from navgym.ins.scenarios import FISH
-from navgym.ins.stops import saturated
 from tests.ins.lanes import made
 
 AKIT = Path(os.environ.get("NAVGYM_DATA", "nowhere")) / "akit"

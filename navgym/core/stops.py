@@ -1,4 +1,4 @@
-"""Inertial sensors at the stop of their range: the largest number a channel can say, again and again."""
+"""Sensors at the stop of their range: the largest number a channel can say, again and again."""
 
 from __future__ import annotations
 
@@ -11,10 +11,6 @@ from navgym.core.checks import Array
 
 REPEATED = 10  # samples at exactly the largest number of a channel, from which on it is a stop
 FINE = 4.0  # steps of its resolution that a channel's noise must have for that to be told
-CHANNELS = {
-    "angle": ("gyro_x", "gyro_y", "gyro_z"),
-    "velocity": ("acc_x", "acc_y", "acc_z"),
-}
 
 
 def saturated(values: Array, names: Sequence[str]) -> tuple[NDArray[np.bool_], list[tuple[str, float, int]]]:  # fmt: skip

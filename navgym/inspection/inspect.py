@@ -1,0 +1,142 @@
+"""Look a log over: `inspect(path)` reads it, asks every test, and names the command to run next."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from navgym.inspection import series
+from navgym.inspection.findings import (
+    SEVERITIES,
+    Channel,
+    Evidence,
+    Finding,
+    Inspection,
+    Losses,
+)
+from navgym.inspection.reading import Read, as_finding, read
+from navgym.inspection.timing import losses
+from navgym.problem import Problem
+from navgym.readers import ReaderOptions
+
+MENDABLE = 8  # findings whose options are put into the next command
+
+
+def inspect(log: str | Path, *words: str, format_name: str | None = None) -> Inspection:
+    """What is in a log, and what is wrong with it.
+
+    Args:
+        log: the file, or the folder.
+        words: for the reader, as after --read on the command line: pairs of an option and a value.
+        format_name: of the file; by default what it looks like.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: options that the reader does not have. A file that it refuses is a finding.
+    """
+    return of(Path(log), ReaderOptions(tuple(words), format_name))
+
+
+def of(log: Path, reading: ReaderOptions) -> Inspection:
+    """The same with a reader's options as they are."""
+    from navgym.read_command import following, told
+
+    done = read(log, reading)
+    name = reading.format_of(log)
+    if done.recording is None:
+        return Inspection(
+            str(log), name, "", (), tuple(done.findings), (), (), (), (), _refused(log, reading)
+        )
+    problem = done.reading.problem(log)
+    evidence = _evidence(problem, log, done)
+    lines = told(done.recording, problem)
+    doubts = [as_finding(text) for name, text in lines if name == "doubt"]
+    lines = [(name, text) for name, text in lines if name != "doubt"]
+    said = [*done.findings, *(f for f in doubts if f is not None)]
+    findings = _sorted([*said, *evidence.findings, *_of_channels(evidence.channels)])
+    next_command = _next(log, done, findings, evidence, following, problem)
+    return Inspection(
+        str(log), name, problem.title, tuple(lines), findings, tuple(evidence.channels),
+        _losses(evidence.channels), tuple(evidence.noise), evidence.words, next_command,
+        evidence.track, done.recording,
+    )  # fmt: skip
+
+
+def _evidence(problem: Problem, log: Path, done: Read) -> Evidence:
+    if problem.evidence is None:
+        return Evidence(())
+    return problem.evidence(done.recording, log, done.reading.options(done.reading.format_of(log)))
+
+
+def _of_channels(channels: Sequence[Channel]) -> list[Finding]:
+    """What each channel alone shows; what all channels of a sensor share is said once."""
+    found = [f for channel in channels for f in series.of(channel)]
+    sensor = {c.name: c.sensor for c in channels}
+    shared: dict[tuple[str, str], list[Finding]] = {}
+    for f in found:
+        shared.setdefault((f.kind, sensor[f.channel]), []).append(f)
+    return [_joined(fs) for fs in shared.values()]
+
+
+def _joined(findings: Sequence[Finding]) -> Finding:
+    """Findings of one kind in several channels of a sensor as one: the first, with all names."""
+    first, names = findings[0], list(dict.fromkeys(f.channel for f in findings))
+    if len(findings) == 1:
+        return first
+    more = f" ({first.channel}; {len(findings) - 1} more like it)"
+    return Finding(first.kind, ", ".join(names), first.said + more, first.remedy, first.options)
+
+
+def _sorted(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """The worst first, and each thing once: what the reader said of a kind and channel goes first."""
+    kept: dict[tuple[str, str], Finding] = {}
+    turned = any(f.kind == "axes" for f in findings)
+    for f in findings:
+        if not (turned and f.kind == "delay"):  # of axes that are wrong no clock can be told
+            kept.setdefault((f.kind, f.channel), f)
+    return tuple(sorted(kept.values(), key=lambda f: SEVERITIES.index(f.severity)))
+
+
+def _losses(channels: Sequence[Channel]) -> tuple[Losses, ...]:
+    by_sensor: dict[str, list[Channel]] = {}
+    for c in channels:
+        by_sensor.setdefault(c.sensor, []).append(c)
+    found = []
+    for sensor, group in by_sensor.items():
+        lost = ~np.all([c.received for c in group], axis=0)
+        found.append(losses(sensor, lost))
+    return tuple(found)
+
+
+# ---- the command to run next
+
+
+def _refused(log: Path, reading: ReaderOptions) -> str:
+    """Where a file cannot be read: a mapping file to say in what its columns hold, for text files."""
+    words = ["navgym", "read", str(log), *_told(reading)]
+    return shlex.join([*words, "--write-mapping", "mapping.toml"] if log.is_file() else words)
+
+
+def _told(reading: ReaderOptions) -> list[str]:
+    words = ["--format", reading.format] if reading.format else []
+    return words + (["--read", *reading.words] if reading.words else [])
+
+
+def _next(log, done, findings, evidence, following, problem) -> str:  # type: ignore[no-untyped-def]
+    """Mend what options can mend and look again; else tune, with the noise that the log suggests."""
+    mending = [f.options for f in findings if f.options][:MENDABLE]
+    words = list(done.reading.words)
+    for options in mending:
+        named = words[::2] if not words or not words[0].endswith(".toml") else words[1::2]
+        if options[0] not in named:
+            words += options
+    if mending:
+        told = ReaderOptions(tuple(words), done.reading.format)
+        return shlex.join(["navgym", "inspect", str(log), *_told(told)])
+    own = [w for pair in zip(evidence.words[::2], evidence.words[1::2], strict=True) if pair[0] not in words for w in pair]  # fmt: skip
+    told = ReaderOptions((*words, *own), done.reading.format)
+    command: str = following(told, log, done.recording, problem)
+    return command

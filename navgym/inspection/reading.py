@@ -1,0 +1,136 @@
+"""What a reader says of a log as findings: its errors, its warnings, and what it tidied."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from navgym.inspection.findings import Finding
+from navgym.readers import ReaderOptions
+
+# what readers say, and the kind of finding that it is; the first that fits counts
+_SAID = (
+    (r"taken for held|repeat the values before them: kept", "held"),
+    (r"taken for lost ones", "sentinel"),
+    (r"times are taken for|the usual step is [\d.e+]+ s: if the times|time_scale= or units", "time unit"),
+    (r"rows sorted by time", "order"),
+    (r"rows that repeat each other|of times that stand there before", "duplicate"),
+    (r"rows with different values, first", "conflict"),
+    (r"small enough to be radians|columns of latitude and longitude: read as degrees", "degrees"),
+    (r"more than 100 km from the origin", "far"),
+    (r"infinite values are lost", "infinite"),
+    (r"was cut off: left out|ends in NUL bytes", "cut"),
+    (r"no heading in their rows", "unseen"),
+    (r"^axes: |fit far better if", "axes"),
+    (r"fit better if they were made", "delay"),
+    (r"are left out: where that should not be, bring both to one clock", "outside"),
+    (r"stands still for most", "standing"),
+    (r"stop of its range|saturat|at their (largest|least)|times? at exactly|stands? at", "saturation"),
+)  # fmt: skip
+_REFUSED = (
+    (r"is not known: pass", "untold"),
+    (r"the time goes back|as where a clock is set", "clock set"),
+    (r"name a column with finer times|check the unit of the times", "stamps"),
+    (r"look like degrees|must be within ±|no row has both latitude", "degrees"),
+    (r"turn the axes", "axes"),
+    (r"check the units|usual specific force|gravity standing|holds degrees or rates|\bunits? .* is not one of", "units"),
+    (r"every measurement is lost|nothing but NaN", "empty"),
+    (r"could each be|all hold a position|no measurement column|unknown column|no such column", "columns"),
+    (r"must be a number|must be a date|must be a clock|got '", "text"),
+    (r"even steps|increase strictly|rows? .*after|gap", "uneven"),
+)  # fmt: skip
+_SILENT = re.compile(
+    r"nothing shows it|no magnetometer"
+)  # said of sound logs too: a fact, no fault
+# by kind of an error, options that let a log be read in spite of it; the first that works is taken
+_REPAIRS: dict[str, tuple[tuple[str, ...], ...]] = {
+    "clock set": (("sort", "true"), ("regular", "true")),
+    "uneven": (("regular", "true"),),
+    "units": (("check_units", "false"),),
+    "axes": (("check_units", "false"),),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Read:
+    """What became of reading a log.
+
+    Args:
+        recording: or None, where it could not be read in any way.
+        findings: what the reader found.
+        reading: how it was read in the end.
+        repaired: whether that is otherwise than it was told.
+    """
+
+    recording: Any
+    findings: Sequence[Finding]
+    reading: ReaderOptions
+    repaired: bool = False
+
+
+def read(log: Path, reading: ReaderOptions) -> Read:
+    """Read a log, if need be with options that its reader asks for.
+
+    Raises FileNotFoundError where there is no such file, and ValueError for options that cannot be.
+    """
+    reading.options(reading.format_of(log))
+    try:
+        return Read(*_tried(log, reading), reading)
+    except ValueError as error:
+        refused = _refused(str(error))
+    for words in _REPAIRS.get(refused.kind, ()):
+        other = ReaderOptions((*reading.words, *words), reading.format)
+        try:
+            recording, found = _tried(log, other)
+        except ValueError:
+            continue
+        repaired = Finding(refused.kind, refused.channel, refused.said, refused.remedy, words)
+        own = [f for f in found if f.kind not in (refused.kind, "order")]
+        return Read(recording, [repaired, *own], other, True)
+    return Read(None, [refused], reading)
+
+
+def _tried(log: Path, reading: ReaderOptions) -> tuple[Any, list[Finding]]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        recording = reading.read(log)
+    kept = [str(s) for s in recording.meta.get("reading", ())]
+    warned = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
+    doubts = [text.partition(": ")[2] or text for text in warned]
+    # a doubt stands among the sentences too, where the reader keeps them
+    found = [as_finding(text, doubted=True) for text in doubts]
+    found += [as_finding(text) for text in kept if text not in doubts]
+    return recording, [f for f in found if f is not None]
+
+
+def as_finding(text: str, doubted: bool = False) -> Finding | None:
+    """A reader's sentence as a finding; None for one that says what was done, not what is wrong.
+
+    Args:
+        text: the sentence.
+        doubted: whether it was a warning: then it is a finding in any case.
+    """
+    for pattern, kind in _SAID:
+        if re.search(pattern, text):
+            return Finding(kind, _channel(text), text)
+    if not doubted or _SILENT.search(text):
+        return None
+    return Finding("reader", _channel(text), text)
+
+
+def _refused(text: str) -> Finding:
+    kind = next((k for pattern, k in _REFUSED if re.search(pattern, text)), "unreadable")
+    found = re.search(r"column '([^']+)'", text)
+    return Finding(kind, found[1] if found else "", text)
+
+
+def _channel(text: str) -> str:
+    """What a sentence begins with or names, if that is a channel."""
+    found = re.match(
+        r"(\w+) says exactly|'([^']+)':|(\w+): |\d+% of the rows with ([\w ]+?) repeat", text
+    )
+    return next((g for g in found.groups() if g), "") if found else ""

@@ -1,0 +1,93 @@
+"""What the times of rows show: gaps, a clock that was set forward, a rate that changes; and losses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navgym.core.checks import Array
+from navgym.inspection.findings import Finding, Losses
+from navgym.inspection.motion import Motion
+from navgym.inspection.series import ALARM
+
+LONG = 10.0  # usual steps: shorter gaps are nobody's concern
+CHANGED = 1.5  # factor between the usual steps of two halves
+FEW = 30  # rows of a half
+EVEN = 0.05  # share by which the middle half of the steps may vary where a rate is a rate
+
+
+def gaps(time: Array, name: str = "", motion: Motion | None = None) -> Iterator[Finding]:
+    """Gaps that the log's other gaps do not let expect: lengths of losses in bursts are geometric.
+
+    Args:
+        time: (T,) s, of rows, in order.
+        name: of the sensor.
+        motion: positions and velocities that tell a gap from a clock that was set, or None.
+    """
+    steps = np.diff(time)
+    steps = steps[steps > 0.0]
+    if len(steps) < FEW:
+        return
+    usual = float(np.median(steps))
+    long = np.sort(steps[steps > 1.5 * usual] / usual)
+    if not len(long) or long[-1] < LONG:
+        return
+    for k in range(1, min(len(long), 4) + 1):
+        others = long[:-k] if k < len(long) else np.empty(0)
+        mean = max(float(others.mean()) if len(others) else 1.0, 1.0)
+        gap = float(long[-k])
+        chance = (
+            len(long) * math.exp(-(gap - 1.0) / mean) if len(others) >= 5 else math.exp(-gap / 5.0)
+        )
+        if gap < LONG or chance > (ALARM if len(others) >= 5 else math.exp(-LONG / 5.0)):
+            return
+        at = int(np.flatnonzero(np.diff(time) >= gap * usual * (1.0 - 1e-9))[0])
+        yield _gap(time, at, usual, name, motion)
+
+
+def _gap(time: Array, at: int, usual: float, name: str, motion: Motion | None) -> Finding:
+    before, after = float(time[at]), float(time[at + 1])
+    if motion is not None and motion.stood(before, after):
+        return Finding(
+            "clock step", name,
+            f"after {before:.6g} s the time jumps by {after - before:.6g} s, and the positions move on as in one "
+            f"step of {usual:.4g} s",
+            "cut the log there, or take the jump off the later times",
+        )  # fmt: skip
+    return Finding(
+        "gap", name,
+        f"no row for {after - before:.6g} s after {before:.6g} s; the usual step is {usual:.4g} s",
+        "a filter predicts through it; where a clock was set, cut the log there",
+    )  # fmt: skip
+
+
+def rate(time: Array, name: str = "") -> Iterator[Finding]:
+    """A log whose rate changes for good."""
+    steps = np.diff(time)
+    steps = steps[steps > 0.0]
+    half = len(steps) // 2
+    if half < FEW:
+        return
+    first, second = (np.quantile(part, [0.25, 0.5, 0.75]) for part in (steps[:half], steps[half:]))
+    even = all(q[2] - q[0] <= EVEN * q[1] for q in (first, second))
+    if even and max(first[1] / second[1], second[1] / first[1]) > CHANGED:
+        yield Finding(
+            "rate", name,
+            f"the usual step is {first[1]:.4g} s in the first half of the rows, {second[1]:.4g} s in the second",
+            "what counts samples (decision intervals, forgetting) means other times there",
+        )  # fmt: skip
+
+
+def losses(sensor: str, lost: NDArray[np.bool_]) -> Losses:
+    """How a sensor's measurements, (T,), got lost."""
+    edges = np.diff(np.concatenate([[0], lost.astype(np.int8), [0]]))
+    lengths = np.flatnonzero(edges == -1) - np.flatnonzero(edges == 1)
+    after = lost[1:][lost[:-1]]
+    return Losses(
+        sensor, len(lost), float(lost.mean()) if len(lost) else 0.0, len(lengths),
+        float(lengths.mean()) if len(lengths) else 0.0, int(lengths.max(initial=0)),
+        float(after.mean()) if len(after) else 0.0,
+    )  # fmt: skip
