@@ -23,7 +23,8 @@ from navgym.tuning.programs.objective import ProgramGoal
 WIDTH = 1.96  # deviations of a 95 % interval
 FIRST_STEP = 0.02  # of a parameter's range, on its own scale
 NATS = (0.2, 5.0)  # what a step should change the likelihood by
-ROUNDS = 8  # of Newton's method
+ROUNDS = 15  # of Newton's method
+DAMPED = (0.0, 0.03, 0.3, 3.0)  # of the largest curvature, Levenberg's way
 NEAR = 0.05  # deviations from the maximum at which it counts as found
 LEAST_STRETCHES = 20  # for the sandwich
 
@@ -107,14 +108,16 @@ def fitted(goal: ProgramGoal, start: Mapping[str, Any], run: Map) -> Fit | None:
         surface, place, steps = inner, place[told], steps[told]
     for _ in range(ROUNDS):
         gradient, hessian = _derivatives(surface, place, steps)
-        if not np.isfinite(hessian).all() or np.linalg.eigvalsh(hessian).min() <= 0.0:
-            hessian = np.diag(np.maximum(np.abs(np.diag(hessian)), 1e-12))
-            if not np.isfinite(hessian).all():
-                return None
-        move = -np.linalg.solve(hessian, gradient)
-        if math.sqrt(max(float(-gradient @ move), 0.0)) < NEAR:
+        if not np.isfinite(hessian).all() or not np.isfinite(gradient).all():
+            return None  # the program fails on the way
+        sizes, axes = np.linalg.eigh(hessian)
+        moves = [
+            -axes @ ((axes.T @ gradient) / (np.maximum(np.abs(sizes), 1e-9) + damped))
+            for damped in np.abs(sizes).max() * np.array(DAMPED)
+        ]
+        if sizes[0] > 0.0 and math.sqrt(max(float(-gradient @ moves[0]), 0.0)) < NEAR:
             break
-        place, moved = _moved(surface, place, move)
+        place, moved = _moved(surface, place, moves)
         if not moved:
             break
         steps, _ = _steps(surface, place, steps)
@@ -170,9 +173,10 @@ def _derivatives(surface: _Surface, place: Array, steps: Array) -> tuple[Array, 
     return gradient, hessian
 
 
-def _moved(surface: _Surface, place: Array, move: Array) -> tuple[Array, bool]:
-    """The best of the whole move and shorter ones, inside the ranges; whether any is better."""
-    tries = [np.clip(place + share * move, surface.low, surface.high) for share in (1.0, 0.4, 0.1)]
+def _moved(surface: _Surface, place: Array, moves: Sequence[Array]) -> tuple[Array, bool]:
+    """The best of some moves, inside the ranges and a quarter of them at most; whether any is better."""
+    most = 0.25 * (surface.high - surface.low)
+    tries = [np.clip(place + np.clip(m, -most, most), surface.low, surface.high) for m in moves]
     here, *found = (float(a.sum()) for a in surface.at([place, *tries]))
     best = int(np.argmin(found))
     better = found[best] < here - 1e-9 * abs(here)

@@ -19,13 +19,11 @@ def walk(tmp_path_factory):
 
 @pytest.fixture
 def script(tmp_path):
-    """What makes a program of lines of sh, or of Python, that is called PARAMETERS LOG OUT."""
+    """What makes a program of lines of sh that is called PARAMETERS LOG OUT."""
 
-    def make(text, python=False):
-        import sys
-
+    def make(text):
         path = tmp_path / "program"
-        path.write_text(f"#!{sys.executable}\n{text}\n" if python else f"#!/bin/sh\n{text}\n")
+        path.write_text(f"#!/bin/sh\n{text}\n")
         path.chmod(0o755)
         return path
 

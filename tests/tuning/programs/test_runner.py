@@ -2,7 +2,6 @@
 nothing behind.
 """
 
-import os
 import subprocess
 import sys
 import time
@@ -138,7 +137,9 @@ def test_runs_leave_no_file(script, log, tmp_path):
     assert not Path(where.read_text().strip()).exists()
 
 
-def test_when_the_one_who_asks_is_killed_the_program_dies_and_its_folder_goes(script, log, tmp_path):
+def test_when_the_one_who_asks_is_killed_the_program_dies_and_its_folder_goes(
+    script, log, tmp_path
+):
     where = tmp_path / "where"
     path = script(f"pwd > {where}; setsid sleep 98764 & sleep 98764")
     source = (
@@ -163,7 +164,9 @@ def test_when_the_one_who_asks_is_killed_the_program_dies_and_its_folder_goes(sc
 
 
 def test_a_guardian_that_was_killed_costs_one_run(script, log):
-    path = script(f"[ -e {log.what}.once ] || {{ touch {log.what}.once; kill -9 $PPID; sleep 98765; }}; {GOOD}")
+    path = script(
+        f"[ -e {log.what}.once ] || {{ touch {log.what}.once; kill -9 $PPID; sleep 98765; }}; {GOOD}"
+    )
     found = failure(path, log)
     assert found.kind == "lost"
     assert found.again
@@ -218,6 +221,6 @@ def test_a_kept_run_that_is_damaged_is_made_again(script, log, tmp_path):
     ruler = runs.ruler(program, log, {"q": 1.0})
     first = runs.of(program, log, {"q": 1.0}, ruler)
     for path in (tmp_path / "runs").rglob("*.json"):
-        path.write_bytes(path.read_bytes()[: os.path.getsize(path) // 2])
+        path.write_bytes(path.read_bytes()[:100])
     again = runs.of(program, log, {"q": 1.0}, ruler)
     assert again.sums["nis"].tolist() == first.sums["nis"].tolist()
