@@ -7,8 +7,8 @@ entry of a list, `process_noise_covariance[6,6]`.
 from __future__ import annotations
 
 import json
-import math
 import re
+import sys
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -59,13 +59,14 @@ class Format:
                     raise ValueError(
                         f"{name} is {each!r}, and format {self.name!r} holds numbers only."
                     )
-            elif not math.isfinite(np.float32(each) if self.single else each):
+            elif not abs(each) <= (
+                float(np.finfo(np.float32).max) if self.single else sys.float_info.max
+            ):
                 raise ValueError(f"{name} = {each:g} cannot be held by format {self.name!r}.")
 
     def held(self, value: Any) -> Any:
         """`value` as the format gives it back."""
-        single = self.single and not isinstance(value, (str, int))
-        return float(np.float32(value)) if single else value
+        return float(np.float32(value)) if self.single and isinstance(value, float) else value
 
 
 def number(value: Any, single: bool = False) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import json
 import math
@@ -176,9 +177,35 @@ def _yaml() -> Any:
             "YAML needs the package ruamel.yaml: pip install 'navgym[tuning]'."
         ) from error
     made = YAML()
+    made.Representer = _representer()
     made.preserve_quotes = True
     made.width = 120
     return made
+
+
+@functools.cache
+def _representer() -> Any:
+    """Values as readers of YAML 1.1 take them too: to them 1e-05 is text, and no is false."""
+    from ruamel.yaml.representer import RoundTripRepresenter
+
+    class Strict(RoundTripRepresenter):
+        """Numbers with a point, text in quotes where it is new."""
+
+    def number(representer: Any, value: float) -> Any:
+        mantissa, mark, power = repr(value).partition("e")
+        text = mantissa if "." in mantissa else f"{mantissa}.0"
+        return representer.represent_scalar("tag:yaml.org,2002:float", f"{text}{mark}{power}")
+
+    def word(representer: Any, value: str) -> Any:
+        quoted = '"' if value.lower() in _DOUBTFUL or value[:1] in "+-.0123456789~" else None
+        return representer.represent_scalar("tag:yaml.org,2002:str", value, style=quoted)
+
+    Strict.add_representer(float, number)
+    Strict.add_representer(str, word)
+    return Strict
+
+
+_DOUBTFUL = {"", "y", "n", "yes", "no", "on", "off", "true", "false", "null"}
 
 
 def yaml_writer(
