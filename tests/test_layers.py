@@ -18,7 +18,7 @@ ABOVE = {"agents", "tuning"}
 # everything that knows no problem: rooms, and the files in navgym/ itself
 GENERAL = {
     "core", "envs", "identification", "inertial", "metrics", "statespace",
-    "", "command", "estimation", "mapping", "problem", "read_command", "readers", "simulation", "tuned", "warm",
+    "", "command", "estimation", "mapping", "plugins", "problem", "read_command", "readers", "simulation", "tuned", "warm",
 }  # fmt: skip
 EXCEPTIONS = {
     # a command per subject, and how fast agents are is measured by the agents
