@@ -43,7 +43,7 @@ class ExportSettings:
         tuned: a tuned.toml, of a program or of one of our filters.
         format: see above; by default what the ending of --out or --present says.
         present: a file of the target's, whose other values are kept.
-        out: file to write (default: the terminal).
+        file: to write (default: the terminal).
         name: what the target calls a parameter, such as: accel_noise EKF2_ACC_NOISE
         only: parameters to write; all by default.
     """
@@ -51,7 +51,7 @@ class ExportSettings:
     tuned: tyro.conf.Positional[Path]
     format: Annotated[str | None, tyro.conf.arg(name="as")] = None
     present: Path | None = None
-    out: Path | None = None
+    file: Annotated[Path | None, tyro.conf.arg(name="out")] = None
     name: dict[str, str] = field(default_factory=dict)
     only: tuple[str, ...] = ()
 
@@ -161,7 +161,7 @@ def _check(form: Format, named: Mapping[str, Any], text: str) -> None:
 def main(words: Sequence[str]) -> int:
     """Write the file; returns the exit status."""
     settings = parse(ExportSettings, "export", ABOUT, words)
-    place = settings.out or settings.present
+    place = settings.file or settings.present
     if settings.format is None and place is None:
         raise ValueError(f"--as must name a format: {', '.join(FORMATS)}.")
     form = settings.format or of_file(place)
@@ -172,11 +172,11 @@ def main(words: Sequence[str]) -> int:
         except UnicodeDecodeError:
             raise ValueError(f"--present: {settings.present} is no text.") from None
     text, changes = export(settings.tuned, form, present, settings.name, settings.only)
-    if settings.out is None:
+    if settings.file is None:
         print(text, end="")
         return 0
-    with replacing(settings.out, text=True) as file:
+    with replacing(settings.file, text=True) as file:
         file.write(text)
     print("\n".join(c.line for c in changes))
-    print(f"written to {settings.out}")
+    print(f"written to {settings.file}")
     return 0

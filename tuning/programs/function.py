@@ -42,7 +42,8 @@ def tune(
     else:
         contract = Contract.of_dict({"parameters": parameters, "output": dict(output or {})})
     name = getattr(call, "__name__", type(call).__name__)
-    asked = ProgramSettings(**{"name": name, **settings})
+    paths = {key: Path(settings[key]) for key in ("out", "start") if settings.get(key) is not None}
+    asked = ProgramSettings(**{"name": name, **settings, **paths})
     given = {"log": log, "select_log": select_log, "report_log": report_log}
     found = study.run(asked, call, given, contract)
     report.write(found, f"navgym.tuning.programs.function.tune({name}, ...)")

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from navgym.tuning.export.command import export, main
-from navgym.tuning.export.formats import FORMATS
 
 VALUES = {"EKF_ACC": 0.3512345678901234, "EKF_GPS": 1e-5, "EKF_GATE": 3, "EKF_BIG": 123456789.125}
 
