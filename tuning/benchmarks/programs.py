@@ -3,7 +3,7 @@
 coverage     known noises of a simulated system: in how many of 100 studies do the intervals hold them
 evaluations  parameter sets until within 1 % of the optimum, beside a coordinate search
 overhead     ms per run beside the program's own time
-kills        a study that is killed 25 times: are finished runs lost, do processes stay
+kills        a study that is killed 20 times: are finished runs lost, do processes stay
 """
 
 from __future__ import annotations
@@ -248,8 +248,8 @@ def overhead(repeats: int = 100) -> dict[str, Any]:
 # ---- kills
 
 
-def kills(count: int = 25) -> dict[str, Any]:
-    """A study of a program of several processes, killed again and again at random moments."""
+def kills(count: int = 20) -> dict[str, Any]:
+    """A study of a program that leaves children, killed again and again at random moments."""
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         (folder / "walk.awk").write_text(FILTER)
@@ -268,7 +268,7 @@ def kills(count: int = 25) -> dict[str, Any]:
         program = f"sh -c 'sleep {mark} & setsid sleep {mark} & exec awk -v out=$2 -v log_=$1 -f $3 $0 $1' {{parameters}} {{log}} {{out}} walk.awk"
         words = [
             sys.executable, "-m", "navgym.command", "tune", "--program", program, "--parameters", "walk.toml", "--log",
-            *(f"log{i}.csv" for i in range(6)), "--trials", "40", "--workers", "2", "--out",
+            *(f"log{i}.csv" for i in range(4)), "--trials", "16", "--workers", "1", "--out",
         ]  # fmt: skip
         draw, lost, left, killed = np.random.default_rng(1), 0, 0, 0
         before: set[str] = set()

@@ -2,7 +2,7 @@
 
 It knows nothing of navgym, and is started as a file of its own: small, with one thread, so that
 starting a program costs a millisecond or two. It reads a request per line (JSON) and answers each with
-a line. Whatever a program leaves behind, children that moved to another session included, is killed when
+a line when the program has started (its process group) and one when it has ended. Whatever a program leaves behind, children that moved to another session included, is killed when
 the program has ended; all of it is killed when the process that asks goes away, however that happens:
 its end of the pipe closes then. Systems other than Linux lack two of the means (a subreaper, a signal
 at the parent's death): there a child that moves to another process group is lost sight of.
@@ -63,6 +63,7 @@ def run(request):
             )  # fmt: skip
     except (OSError, ValueError, subprocess.SubprocessError) as error:
         return {"why": "start", "text": getattr(error, "strerror", None) or str(error)}
+    answer({"started": process.pid})
     why = watch(process, began + request["limit"], request["watched"], largest)
     if why:
         with contextlib.suppress(ProcessLookupError):
@@ -75,6 +76,11 @@ def run(request):
         "why": why, "status": process.returncode, "left": left,
         "seconds": time.monotonic() - began,
     }  # fmt: skip
+
+
+def answer(told):
+    """Write a line."""
+    os.write(sys.stdout.fileno(), json.dumps(told).encode() + b"\n")
 
 
 def watch(process, until, folder, largest):
@@ -163,8 +169,7 @@ def serve(scratch):
             held += piece
             while b"\n" in held:
                 line, held = held.split(b"\n", 1)
-                answer = json.dumps(run(json.loads(line)))
-                os.write(sys.stdout.fileno(), answer.encode() + b"\n")
+                answer(run(json.loads(line)))
     except OSError as error:
         if error.errno != errno.EPIPE:
             raise

@@ -173,10 +173,14 @@ class _Guardian:
         """One run; `Failed` if the guardian is gone."""
         assert self.process.stdin is not None
         assert self.process.stdout is not None
+        group = 0
         try:
             self.process.stdin.write(json.dumps(request).encode() + b"\n")
             self.process.stdin.flush()
             line = self.process.stdout.readline()
+            if b'"started"' in line:
+                group = int(json.loads(line)["started"])
+                line = self.process.stdout.readline()
         except OSError:
             line = b""
         except BaseException:  # Ctrl-C: the program that runs ends with the guardian
@@ -184,6 +188,9 @@ class _Guardian:
             raise
         if not line:
             self.close()
+            if group:  # what the program had started stays without its guardian
+                with contextlib.suppress(OSError):
+                    os.killpg(group, signal.SIGKILL)
             raise Failed("lost", "the process that watches over the program was killed", again=True)
         found: dict[str, Any] = json.loads(line)
         return found

@@ -173,6 +173,7 @@ def test_a_guardian_that_was_killed_costs_one_run(script, log):
     assert tool(path).output(log, {"q": 1.0}).nis is not None
     if sys.platform.startswith("linux"):
         assert gone(str(path))
+        assert gone("98765")
 
 
 @pytest.mark.parametrize(
