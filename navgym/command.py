@@ -58,6 +58,10 @@ COMMANDS = {
         "navgym.tuning.commands.tune:main",
         "find a filter's parameters, for simulated conditions or your own logs", "tuning", _STUDY,
     ),
+    "export": Command(
+        "navgym.tuning.export.command:main",
+        "take tuned parameters home, in the format of the program that uses them", "tuning",
+    ),
     "headroom": Command(
         "navgym.tuning.commands.headroom:main",
         "what steering a filter could win at most", "tuning", _STUDY,

@@ -528,7 +528,7 @@ class Problem:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travels by where it is found: a process that has not met it imports it."""
-        return load, (REGISTERED[self.name].problem,)
+        return _found, (self.name, REGISTERED[self.name].problem)
 
     def find(self, filter_name: str | Filter) -> Filter:
         """The filter of that name; a filter of one's own is taken as it is.
@@ -659,12 +659,21 @@ REGISTERED: dict[str, Registered] = {
 }  # fmt: skip
 
 
+PLUGGED = "navgym.plugins:plugged"  # what adds other packages' filters and readers
+
+
+def _found(name: str, where: str) -> Problem:
+    """A problem, with what other packages bring for it."""
+    found: Problem = load(REGISTERED[name].problem if name in REGISTERED else where)
+    plugged: Problem = load(PLUGGED)(found)
+    return plugged
+
+
 class _Problems(Mapping[str, Problem]):
     """Problems by name, each loaded when it is first asked for."""
 
     def __getitem__(self, name: str) -> Problem:
-        found: Problem = load(REGISTERED[name].problem)
-        return found
+        return _found(name, REGISTERED[name].problem)
 
     def __iter__(self) -> Iterator[str]:
         return iter(REGISTERED)

@@ -48,8 +48,12 @@ def options():
     """What each command's --help names, by command."""
     call = [sys.executable, "-m", "navgym.command"]
     processes = {name: started([*call, name, "--help"]) for name in COMMANDS}
+    program = ended(started([*call, "tune", "--program", "--help"]))[1]
+    own = {"tune": set(re.findall(r"--[a-z][\w.-]*", program))}  # of a program in a filter's place
     return {
-        name: {"--help", "--config"} | set(re.findall(r"--[a-z][\w.-]*", ended(process)[1]))
+        name: own.get(name, set())
+        | {"--help", "--config"}
+        | set(re.findall(r"--[a-z][\w.-]*", ended(process)[1]))
         for name, process in processes.items()
     }
 

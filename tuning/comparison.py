@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from scipy import stats
@@ -16,7 +16,6 @@ from navgym.core.checks import Array, one_of
 from navgym.metrics import Consistency, PairedDifference, paired_difference, score
 from navgym.metrics.blocks import Blocks
 from navgym.metrics.measures import NIS, NLL, Judged, Measure, Quantity
-from navgym.problem import Problem
 from navgym.tuning.cases import Cases
 from navgym.tuning.objectives import checked_measure, plain_quantities
 
@@ -24,6 +23,13 @@ CONFIDENCE = 0.95
 RESAMPLES = 2000
 LEAST = 8  # recordings that an interval over recordings needs
 LOOKED = 60  # recordings whose covariances are held against their bands
+
+
+class Filters(Protocol):
+    """Whatever has filters by name, each with its space: a `navgym.problem.Problem`, for one."""
+
+    def find(self, filter_name: str, /) -> Any:
+        """The filter of that name; it has a `space`."""
 
 
 @dataclass(frozen=True)
@@ -318,7 +324,7 @@ def rows_of(
     reference: str,
     ends: tuple[str, str],
     measure: Measure,
-    problem: Problem,
+    problem: Filters,
     yardstick: str = "",
     redrawn: Mapping[str, Array] | None = None,
 ) -> tuple[Row, ...]:
@@ -331,7 +337,7 @@ def rows_of(
         reference: label that gains are relative to.
         ends: labels of the filters that score 0 and 1.
         measure: what the errors are.
-        problem: whose filters they are.
+        problem: whose filters they are, or what has them.
         yardstick: label that divergence is judged by; the filter that scores 1 by default, or else
             the one that scores 0.
         redrawn: see `Comparison`.
@@ -360,7 +366,7 @@ def _row(
     lost: float,
     gain: PairedDifference,
     ends: tuple[float, float],
-    problem: Problem,
+    problem: Filters,
     measure: Measure,
     redrawn: Array | None,
 ) -> Row:

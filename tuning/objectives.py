@@ -43,11 +43,13 @@ class Evaluation:
         limits: quantities that may not grow, as (n,) shares of what is allowed: above 1 in the mean
             the parameter set is not feasible.
         microseconds: per filter step, as measured.
+        failed: what went wrong, a line for each instance that could not be evaluated.
     """
 
     losses: Array
     limits: Mapping[str, Array] = field(default_factory=dict)
     microseconds: float = math.nan
+    failed: tuple[str, ...] = ()
 
     @classmethod
     def joined(cls, parts: Sequence[Evaluation]) -> Evaluation:
@@ -58,6 +60,7 @@ class Evaluation:
             np.concatenate([p.losses for p in parts]),
             {name: np.concatenate([p.limits[name] for p in parts]) for name in names},
             float(np.average([p.microseconds for p in parts], weights=sizes)),
+            tuple(line for p in parts for line in p.failed),
         )
 
     @property

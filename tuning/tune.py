@@ -8,16 +8,18 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from tqdm import tqdm
 
+from navgym.core.checks import Array
 from navgym.core.parameters import ParameterSpace
 from navgym.metrics.measures import Measure, Quantity
+from navgym.problem import Amount
 from navgym.simulation import find_scenario
 from navgym.statespace.filters.spaces import PROCESS
-from navgym.tuned import read_tuned
+from navgym.tuned import as_model, read_tuned
 from navgym.tuning.cases import Cases
 from navgym.tuning.comparison import Comparison, Entry, compare
 from navgym.tuning.objectives import (
@@ -40,6 +42,21 @@ DEFAULT, TUNED = "{}, default", "{}, tuned"
 KNOWN, TRUTH = "{}, best known", "{}, tuned with the truth"
 # A common factor on all noises that moves the one-step error by more than this share moves estimates
 MOVES = 0.005
+
+
+class Asked(Protocol):
+    """What reports read of a study's settings."""
+
+    filter: str
+    out: Path
+    storage: str | None
+    seed: int
+    sampler: str
+    cost: bool
+
+    @property
+    def amount(self) -> Amount:
+        """How much is run."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +110,22 @@ class Findings:
     def measure(self) -> Measure:
         """What the study minimised."""
         return measure_of(self.goal)
+
+    @property
+    def model(self) -> dict[str, Any]:
+        """What the recordings' model believed of noise, which scales among the parameters refer to."""
+        cases = next(iter(self.stages.train.values()))
+        return as_model(cases.problem.noises(cases.batch))
+
+    def time(self, name: str) -> tuple[Array, str]:
+        """Where traces over time of a report stand, (T,), and what that axis is."""
+        batch = self.stages.report[name].batch
+        return np.asarray(batch.time_of(int(np.argmax(batch.lengths)))), "time, s"
+
+    @property
+    def usage(self) -> str:
+        """How the file of tuned parameters is used, as code."""
+        return f'navgym.estimate("{self.settings.filter}", recording, "tuned.toml")'
 
     @property
     def tuned(self) -> str:
@@ -183,8 +216,8 @@ def measure_of(goal: InstanceGoal) -> Measure:
         return measure_of(goal.goal)
     if isinstance(goal, Pooled):
         return goal.members[0].measure
-    assert isinstance(goal, Objective)
-    return goal.measure
+    found: Measure = goal.measure  # type: ignore[attr-defined]
+    return found
 
 
 def _study(
@@ -387,12 +420,23 @@ def how_it_held(
     if settings.simulated:
         return Held()
     own, usual = TUNED.format(settings.filter), DEFAULT.format(settings.filter)
-    pairs, said, what = [], [], ""
+    pairs = {}
     for name, found in reports.items():
         quantity, values = _told(found, cases[name], is_blind(settings, cases[name]))
-        pair, what = (values(own), values(usual)), quantity.label
-        pairs.append(pair)
-        where = f"{name}: " if len(reports) > 1 else ""
+        pairs[name] = (values(own), values(usual))
+    return held_by(pairs, quantity)
+
+
+def held_by(found: Mapping[str, tuple[float, float]], quantity: Measure | Quantity) -> Held:
+    """Whether what the tuned parameters and the defaults came to on held-out data speaks for the tuned.
+
+    Args:
+        found: (tuned, default) by the name of a report; infinite where a filter diverges.
+        quantity: what they are; of logarithms differences count, else shares.
+    """
+    pairs, what, said = list(found.values()), quantity.label, []
+    for name, pair in found.items():
+        where = f"{name}: " if len(found) > 1 else ""
         said.append(f"{where}{pair[0]:.4g} {quantity.unit}, with the defaults {pair[1]:.4g} {quantity.unit}")  # fmt: skip
     told = "; ".join(said)
     lost, bad = (any(not math.isfinite(pair[i]) for pair in pairs) for i in (0, 1))
@@ -404,8 +448,9 @@ def how_it_held(
         return Held(False, "The defaults diverge on the part never tuned on, the tuned parameters do not.")  # fmt: skip
     if all(a == b for a, b in pairs):
         return Held(False, "Nothing that was tried is better than the defaults.")  # fmt: skip
-    share = float(np.mean([a / b for a, b in pairs]))
-    if share > 1.0:
+    parts = quantity.parts if isinstance(quantity, Measure) else (quantity,)
+    worse = [a - b if parts[0].added else a / b - 1.0 for a, b in pairs]
+    if float(np.mean(worse)) > 0.0:
         return Held(True, f"The tuned parameters do not hold on the part never tuned on, where they do worse in the {what} ({told}): the defaults are kept.")  # fmt: skip
     return Held(False, f"The tuned parameters hold on the part never tuned on: {what} {told}.")  # fmt: skip
 

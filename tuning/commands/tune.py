@@ -9,6 +9,7 @@ from navgym.command import as_typed
 from navgym.core.interrupts import STOPPED
 from navgym.tuning import tune
 from navgym.tuning.commands.parse import configured, parse
+from navgym.tuning.programs import command as program
 from navgym.tuning.report import study as tune_report
 from navgym.tuning.settings import StudySettings
 from navgym.tuning.study.run import Interrupted
@@ -22,6 +23,7 @@ ABOUT = """Find the parameters of a filter, and say how much they gain on data t
     navgym tune --filter kf --log my.csv --read position_noise 5 columns.px "north (m)"
     navgym tune --akit FOLDER                       real tracks, tuned without their truth
     navgym tune --config runs/tune/settings.toml --seed 1
+    navgym tune --program --help                    any program that replays a log, in place of a filter
 
 1. Optuna varies the free parameters on training recordings; a trial that is surely worse than the
    best is given up on the way. The study is kept on disk: Ctrl-C or a kill loses nothing, and the same
@@ -39,6 +41,8 @@ study writes; what is given beside it counts. Many machines: see the documentati
 
 def main(words: Sequence[str]) -> int:
     """Tune and report; returns the exit status."""
+    if program.wanted(words):
+        return program.main(words)
     began = time.perf_counter()
     default, rest = configured(StudySettings, words)
     settings = parse(StudySettings, "tune", ABOUT, rest, default)

@@ -11,19 +11,16 @@ import tomli_w
 
 from navgym.core.checks import Array
 from navgym.core.parameters import ParameterSpace
-from navgym.tuned import as_model
 from navgym.tuning import declared
-from navgym.tuning.cases import Cases
 from navgym.tuning.comparison import LEAST, Comparison
 from navgym.tuning.objectives import Costed, Pooled
 from navgym.tuning.report import page as report
 from navgym.tuning.report import plots, study_plots, tables, words
 from navgym.tuning.report.page import Figure, Page, Section, Table, Tile
-from navgym.tuning.settings import StudySettings
 from navgym.tuning.study.run import Outcome
 from navgym.tuning.study.sensitivity import FLAT, Sweep
 from navgym.tuning.study.storage import shown
-from navgym.tuning.tune import Findings
+from navgym.tuning.tune import Asked, Findings
 
 TUNED_FILE, PAGE, RESULTS, SETTINGS = "tuned.toml", "report.html", "results.json", "settings.toml"
 
@@ -71,7 +68,7 @@ def summary(found: Findings) -> str:
     return "\n".join(parts)
 
 
-def so_far(settings: StudySettings, outcome: Outcome) -> str:
+def so_far(settings: Asked, outcome: Outcome) -> str:
     """For a study that was interrupted."""
     best = outcome.best
     return (
@@ -92,7 +89,7 @@ def tuned_toml(found: Findings, basis: Mapping[str, Any]) -> str:
     whole = {
         "filter": found.settings.filter,
         "parameters": {k: _number(v) for k, v in found.values.items()},
-        "model": model_of(found),
+        "model": found.model,
         "provenance": {
             **basis,
             "goal": _without_none(found.goal.about),
@@ -100,16 +97,7 @@ def tuned_toml(found: Findings, basis: Mapping[str, Any]) -> str:
             "held": found.held.said or "chosen on validation seeds",
         },
     }
-    return (
-        '# Written by navgym tune: navgym.estimate(filter, recording, "tuned.toml")\n'
-        + tomli_w.dumps(_without_none(whole))
-    )
-
-
-def model_of(found: Findings) -> dict[str, Any]:
-    """What the recordings' model believed of noise, which the scales refer to."""
-    cases = next(iter(found.stages.train.values()))
-    return as_model(cases.problem.noises(cases.batch))
+    return f"# Written by navgym tune: {found.usage}\n" + tomli_w.dumps(_without_none(whole))
 
 
 def _number(value: Any) -> Any:
@@ -303,13 +291,13 @@ def _comparison(found: Findings, name: str, c: Comparison) -> Section:
     bars = plots.ladder(c, (found.tuned,), f"{what}{ends.get(c.intervals, '')}.{lost}")
     note = f"Gains are paired (same recordings). {_how_sure(c)} Times are this machine's."
     items: list[Table | Figure] = [bars, tables.ladder(c, (found.tuned,), note)]
-    items.append(_over_time(found, c, found.stages.report[name]))
+    items.append(_over_time(found, c, name))
     return Section(f"On fresh data: {name}", [], items)
 
 
-def _over_time(found: Findings, c: Comparison, cases: Cases) -> Figure:
+def _over_time(found: Findings, c: Comparison, name: str) -> Figure:
     quantity = c.measure.parts[0]
-    time = np.asarray(cases.batch.time_of(int(np.argmax(cases.batch.lengths))))
+    time, place = found.time(name)
     traces: dict[str, Array] = {
         label: c.squared[label][:, : len(time)] for label in (found.default, found.tuned)
     }
@@ -318,7 +306,7 @@ def _over_time(found: Findings, c: Comparison, cases: Cases) -> Figure:
     over = f", over {c.runs} fresh recordings, with 95 % bands over them" if c.runs > 1 else ""
     caption = f"{quantity.label[0].upper()}{quantity.label[1:]} over time{over}."
     squared = quantity.name not in ("nll", "nis")
-    return study_plots.over_time(time, traces, colors, axis, caption, squared)
+    return study_plots.over_time(time, traces, colors, axis, caption, squared, place=place)
 
 
 def _parameters(found: Findings) -> Section:
@@ -335,9 +323,7 @@ def _parameters(found: Findings) -> Section:
             ):
                 sets[row.label.partition(", ")[2] or row.label] = row.parameters
     which = "default" if found.held.kept_default else "tuned"
-    text = [
-        f'`{TUNED_FILE}` holds the {which} ones: `navgym.estimate("{found.settings.filter}", recording, "{TUNED_FILE}")`.'
-    ]
+    text = [f"`{TUNED_FILE}` holds the {which} ones: `{found.usage}`."]
     return Section("The parameters", text, [tables.parameters(space, sets, "")])
 
 

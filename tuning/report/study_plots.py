@@ -190,7 +190,7 @@ def front(outcome: Outcome, chosen: Trial, axis: str, caption: str) -> Figure:
 
 def over_time(
     time: Array, traces: Mapping[str, Array], colors: Mapping[str, str], axis: str, caption: str,
-    squared: bool = True, bins: int = 80,
+    squared: bool = True, bins: int = 80, place: str = "time, s",
 ) -> Figure:  # fmt: skip
     """Mean over runs in bins of time, with 95 % bands over runs; roots of it for squared errors.
 
@@ -202,6 +202,7 @@ def over_time(
         caption: of the figure.
         squared: whether traces are squared errors.
         bins: of time.
+        place: label of the axis of time.
     """
     edges = np.linspace(0, len(time), min(bins, len(time)) + 1).astype(np.int64)
     with drawing(caption, 3.0) as (axes, made):
@@ -214,7 +215,7 @@ def over_time(
                 low, middle, high = (np.sqrt(np.maximum(a, 0.0)) for a in (low, middle, high))
             axes.fill_between(x, low, high, color=colors[label], alpha=0.2, lw=0)
             axes.plot(x, middle, color=colors[label], lw=1.5, label=label)
-        axes.set_xlabel("time, s")
+        axes.set_xlabel(place)
         axes.set_ylabel(wrapped(axis))
         heard = np.flatnonzero(
             np.any([np.isfinite(t).any(axis=0) for t in traces.values()], axis=0)

@@ -51,8 +51,9 @@ from navgym.tuning.study.storage import (
 )
 
 STUDY = "navgym"  # the usual name: one study per journal
-# attributes of trials: losses per instance, instances seen before the trial was given up, its worker
-LOSSES, GIVEN_UP, WORKER = "losses", "given up after", "worker"
+# attributes of trials: losses per instance, instances seen before the trial was given up, its worker,
+# what went wrong on the way
+LOSSES, GIVEN_UP, WORKER, FAILED = "losses", "given up after", "worker", "failed"
 POLL = 0.5  # s between looks at a study whose last trials others are running
 
 
@@ -67,6 +68,7 @@ class Trial:
         cost: µs per filter step, where that was minimised as well.
         given_up: whether it was pruned: seen to be worse than the best before all instances.
         feasible: whether it keeps every limit.
+        failed: what went wrong, a line for each instance that could not be evaluated.
     """
 
     number: int
@@ -75,6 +77,7 @@ class Trial:
     cost: float | None = None
     given_up: bool = False
     feasible: bool = True
+    failed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -367,6 +370,8 @@ class _Run:
             if isinstance(found, Evaluation):
                 for name, value in found.constraints.items():
                     trial.set_constraint(name, value)
+                if found.failed:
+                    trial.set_user_attr(FAILED, list(found.failed))
                 value = self._statistic(trial, found, seen)
                 costed = getattr(self.goal, "costed", False)
                 found = (value, found.microseconds) if costed else value
@@ -440,7 +445,10 @@ class _Run:
 def _readable(space: ParameterSpace, t: FrozenTrial) -> Trial:
     values = from_optuna(space, t.params)
     cost = t.values[1] if len(t.values) > 1 else None
-    return Trial(t.number, values, t.values[0], cost, GIVEN_UP in t.user_attrs, _feasible(t))
+    failed = tuple(t.user_attrs.get(FAILED, ()))
+    return Trial(
+        t.number, values, t.values[0], cost, GIVEN_UP in t.user_attrs, _feasible(t), failed
+    )
 
 
 def _feasible(trial: FrozenTrial) -> bool:

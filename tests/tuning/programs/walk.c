@@ -1,0 +1,36 @@
+/* A Kalman filter for a scalar that walks at random and is measured: walk PARAMETERS LOG OUT.
+   PARAMETERS holds lines name = value: walk_noise (per root second) and meter_noise. */
+#include <stdio.h>
+#include <string.h>
+
+int main(int argc, char **argv) {
+  double q = 1.0, r = 1.0, value, time, z, x = 0.0, P = 100.0, before = 0.0;
+  char line[256], name[128];
+  FILE *in, *out;
+  int first = 1;
+  if (argc != 4) { fprintf(stderr, "usage: walk PARAMETERS LOG OUT\n"); return 2; }
+  in = fopen(argv[1], "r");
+  if (!in) { fprintf(stderr, "no parameters at %s\n", argv[1]); return 2; }
+  while (fgets(line, sizeof line, in))
+    if (sscanf(line, "%127s = %lf", name, &value) == 2) {
+      if (!strcmp(name, "walk_noise")) q = value * value;
+      if (!strcmp(name, "meter_noise")) r = value * value;
+    }
+  fclose(in);
+  in = fopen(argv[2], "r");
+  if (!in) { fprintf(stderr, "no log at %s\n", argv[2]); return 2; }
+  out = fopen(argv[3], "w");
+  fprintf(out, "time,innovation,variance\n");
+  while (fgets(line, sizeof line, in)) {
+    if (sscanf(line, "%lf,%lf", &time, &z) != 2) continue;
+    if (!first) P += q * (time - before);
+    double s = P + r, nu = z - x, k = P / s;
+    fprintf(out, "%.9g,%.12g,%.12g\n", time, nu, s);
+    x += k * nu;
+    P *= 1.0 - k;
+    before = time;
+    first = 0;
+  }
+  fclose(in);
+  return fclose(out) != 0;
+}

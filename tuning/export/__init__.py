@@ -1,0 +1,1 @@
+"""Parameters in the formats of those who use them: autopilots, robots, programs in C."""
