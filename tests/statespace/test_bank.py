@@ -120,7 +120,7 @@ def by_twin(problem, modes, chosen, axes):
     return twin.bank(*problem.parts, modes, twin.structure_of(problem.model), chosen, axes)
 
 
-@given(problem=problems(sizes=((2, 1), (3, 2))), chosen=leaks())
+@given(problem=problems(sizes=((2, 1),)), chosen=leaks())
 def test_whole_state_agrees_with_the_textbook(problem, chosen):
     agree(run_bank(problem.recording, GRID, FULL, chosen), by_twin(problem, GRID, chosen, FULL))
 
@@ -208,14 +208,14 @@ def test_shared_covariance_costs_less_than_two_in_a_thousand():
     assert rmse[0] == pytest.approx(rmse[1], rel=0.002)
 
 
-@given(problem=problems(sizes=((2, 1), (3, 2))), chosen=leaks())
+@given(problem=problems(sizes=((2, 1),)), chosen=leaks())
 def test_weights_are_probabilities(problem, chosen):
     weights = run_bank(problem.recording, GRID, FULL, chosen)["weights"]
     assert weights.min() >= 0.0
     np.testing.assert_allclose(weights.sum(1), 1.0, rtol=1e-12)
 
 
-@given(problem=problems(sizes=((2, 1), (3, 2)), varying=False), chosen=leaks())
+@given(problem=problems(sizes=((2, 1),), varying=False), chosen=leaks())
 def test_mixing_and_losing_keep_the_moments_of_the_mixture(problem, chosen):
     """Since the last measurement x = F x and P = F P Fᵀ + E[q] Q, whatever the modes exchange."""
     lost = problem.lost.copy()
