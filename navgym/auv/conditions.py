@@ -11,6 +11,8 @@ from navgym.auv.scenarios import AUVScenario, Loss, Regime
 from navgym.core.checks import span, within
 from navgym.core.draws import Range, log_uniform
 
+QUICK: Range = (8.0, 25.0)  # samples: faster than an agent that decides every five can follow
+
 
 @dataclass(frozen=True)
 class AUVRanges:
@@ -30,6 +32,8 @@ class AUVRanges:
     """multiple of Q in a manoeuvre, drawn log-uniformly"""
     dwell: Range = (15.0, 350.0)
     """samples: the shortest time in a regime, drawn log-uniformly; the longest is up to three times that"""
+    quick: float = 0.0
+    """probability that regimes follow one another within QUICK samples instead"""
     sway: Range = (0.02, 0.5)
     """m/s²: a sine that no model knows of, drawn log-uniformly"""
     sway_period: Range = (12.0, 120.0)
@@ -41,6 +45,7 @@ class AUVRanges:
 
     def __post_init__(self) -> None:
         within("chance", self.chance, 0.0, 1.0)
+        within("quick", self.quick, 0.0, 1.0)
         span("loss", self.loss, 0.0)
         within("loss", self.loss[1], 0.0, 1.0)
         for name in ("measurement_scale", "process_scale", "outlier_scale", "manoeuvre_scale"):
@@ -69,6 +74,8 @@ def draw(scenario: AUVScenario, ranges: AUVRanges, rng: np.random.Generator) -> 
         "regimes": drawn_regimes(ranges, rng),
     }
     found = {name: value for name, value in draws.items() if rng.random() < ranges.chance}
+    if rng.random() < ranges.quick:
+        found["dwell"] = _dwell(QUICK, rng)
     return scenario.override(**found)
 
 

@@ -150,6 +150,7 @@ TRAINING = Training(
                 "decisions": 3_000_000,
                 "ranges": {
                     "chance": 0.3,
+                    "quick": 0.25,
                     "measurement_scale": (0.1, 100.0),
                     "dwell": (8.0, 300.0),
                 },
