@@ -147,7 +147,7 @@ TRAINING = Training(
                 "references": True,
                 "reward": "relative",
                 "pool": 2000,
-                "decisions": 3_000_000,
+                "decisions": 2_000_000,
                 "ranges": {
                     "chance": 0.3,
                     "quick": 0.25,
