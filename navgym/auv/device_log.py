@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from navgym.auv.csv_log import recording_of
+from navgym.auv.log import component_names
 from navgym.core.checks import Array
 from navgym.core.notes import Notes, Progress
 from navgym.formats.channels import ESTIMATE, Channel, Channels
@@ -87,11 +88,12 @@ def read_log(
     channels.tell(notes)
     said = notes.sentences
     there, heading = _channels(channels, told, lever_arm is not None, said)
+    deep = {"pz", "vz"}.difference(() if model is None else component_names(model)[0])
     own = {
         quantity: channel.column(name)
         for channel in there
         for quantity, name in QUANTITIES[channel.kind].items()
-        if not np.isnan(channel[name]).all() and (quantity != "pz" or model is not None)
+        if not np.isnan(channel[name]).all() and quantity not in deep
     }
     more = {} if heading is None else {HEADING: [_headings(heading, c) for c in there]}
     table = rows_of(channels.path, there, said, more)
