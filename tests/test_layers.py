@@ -17,7 +17,7 @@ PROBLEMS = {"auv", "deck", "ins"}
 ABOVE = {"agents", "tuning"}
 # everything that knows no problem: rooms, and the files in navgym/ itself
 GENERAL = {
-    "core", "envs", "identification", "inertial", "metrics", "statespace",
+    "core", "envs", "formats", "identification", "inertial", "metrics", "statespace",
     "", "command", "estimation", "mapping", "problem", "read_command", "readers", "simulation", "tuned", "warm",
 }  # fmt: skip
 EXCEPTIONS = {

@@ -39,7 +39,9 @@ def chosen(
         return next(c for c in there if c.name == name)
     usable = [c for c in there if estimates or c.rank != ESTIMATE]
     if not usable:
-        said += [f"{_names(there)} left out as {role}: estimates, not a sensor's; topics={{{role!r}: {there[0].name!r}}} takes one"] * bool(there)  # fmt: skip
+        if there:
+            remedy = f"topics={{{role!r}: {there[0].name!r}}} takes one"
+            said.append(f"{_names(there)} left out as {role}: estimates, not a sensor's; {remedy}")
         return None
     best = min(c.rank for c in usable)
     first = [c for c in usable if c.rank == best]

@@ -157,3 +157,171 @@ def bag(path, voyage=Voyage(), kind="mcap", without=(), more=()):
             raw = (store.serialize_ros1 if ros1 else store.serialize_cdr)(message, name)
             writer.write(known[topic], stamp + 5_000_000, raw)
     return path
+
+
+# ---- PX4
+
+
+ULOG_TYPES = {"uint64_t": "Q", "float": "f", "double": "d", "uint8_t": "B", "bool": "?"}
+ULOG_MESSAGES = {
+    "vehicle_gps_position": ["uint64_t timestamp", "double latitude_deg", "double longitude_deg",
+        "double altitude_msl_m", "double altitude_ellipsoid_m", "float eph", "float epv",
+        "float s_variance_m_s", "float vel_n_m_s", "float vel_e_m_s", "float vel_d_m_s",
+        "uint8_t fix_type", "bool vel_ned_valid"],
+    "sensor_combined": ["uint64_t timestamp", "float[3] gyro_rad", "float[3] accelerometer_m_s2"],
+    "vehicle_attitude": ["uint64_t timestamp", "uint64_t timestamp_sample", "float[4] q"],
+    "vehicle_local_position": ["uint64_t timestamp", "float x", "float y", "float z", "float vx",
+        "float vy", "float vz"],
+}  # fmt: skip
+
+
+def ulog(path, voyage=Voyage()):
+    """First by hand, as pyulog writes only what it has read; then by pyulog."""
+    import io
+    import struct
+
+    from pyulog import ULog
+
+    def record(kind, data):
+        return struct.pack("<HB", len(data), ord(kind)) + data
+
+    out = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0), record("B", bytes(40))]
+    for name, fields in ULOG_MESSAGES.items():
+        out.append(record("F", f"{name}:{';'.join(fields)};".encode()))
+    for k, name in enumerate(ULOG_MESSAGES):
+        out.append(record("A", struct.pack("<BH", 0, k) + name.encode()))
+    for k, stamp in enumerate((voyage.stamps - START + 10**9) // 1000):
+        half = voyage.heading[k] / 2
+        rows = (
+            (stamp, *voyage.places[k], 10.0, 33.0, 0.8, 1.5, 0.2, *voyage.velocity[k], 3, True),
+            (stamp, 0.0, 0.0, 0.02, 0.1, -0.2, -GRAVITY),
+            (stamp, stamp, np.cos(half), 0.0, 0.0, np.sin(half)),
+            (stamp, *voyage.position[k], *voyage.velocity[k]),
+        )
+        for j, (row, fields) in enumerate(zip(rows, ULOG_MESSAGES.values(), strict=True)):
+            letters = ""
+            for each in fields:
+                kind, _, times = each.split()[0].partition("[")
+                letters += ULOG_TYPES[kind] * int(times.rstrip("]") or 1)
+            out.append(record("D", struct.pack("<H", j) + struct.pack(f"<{letters}", *row)))
+    log = ULog(io.BytesIO(b"".join(out)))
+    log.write_ulog(str(path))
+    return path
+
+
+# ---- ArduPilot
+
+
+def dataflash(path, voyage=Voyage()):
+    from types import SimpleNamespace
+
+    from pymavlink.DFReader import DFFormat, DFReader_binary
+
+    head = DFFormat(0x80, "FMT", 89, "BBnNZ", "Type,Length,Name,Format,Columns")
+    maker = SimpleNamespace(formats={0x80: head})
+    formats = {
+        "GPS": ("QBBIHLLefff", "TimeUS,I,Status,GMS,GWk,Lat,Lng,Alt,Spd,GCrs,VZ"),
+        "GPA": ("QBCCC", "TimeUS,I,VAcc,HAcc,SAcc"),
+        "IMU": ("QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
+        "ATT": ("Qfff", "TimeUS,Roll,Pitch,Yaw"),
+        "XKF1": ("QBffffff", "TimeUS,C,VN,VE,VD,PN,PE,PD"),
+    }
+    out, known = [DFReader_binary.make_format_msgbuf(maker, head)], {}
+    for k, (name, (letters, columns)) in enumerate(formats.items()):
+        known[name] = DFFormat(0x90 + k, name, 0, letters, columns)
+        out.append(DFReader_binary.make_format_msgbuf(maker, known[name]))
+    for k, stamp in enumerate((voyage.stamps - START + 10**9) // 1000):
+        (lat, lon), v = voyage.places[k], voyage.velocity[k]
+        degrees = float(np.degrees(voyage.heading[k]))
+        for name, row in (
+            ("GPS", (0, 3, 1000 * k, 2440, round(lat * 1e7), round(lon * 1e7), 3300, 2.0, degrees % 360, 0.0)),
+            ("GPA", (0, 150, 80, 20)),
+            ("IMU", (0, 0.0, 0.0, 0.02, 0.1, -0.2, -GRAVITY)),
+            ("IMU", (1, 0.0, 0.0, 0.02, 0.1, -0.2, -GRAVITY)),
+            ("ATT", (0.0, 0.0, degrees)),
+            ("XKF1", (0, *v, *voyage.position[k])),
+        ):
+            out.append(DFReader_binary.make_msgbuf(maker, known[name], [int(stamp), *row]))
+    path.write_bytes(b"".join(out))
+    return path
+
+
+def tlog(path, voyage=Voyage()):
+    import struct
+
+    from pymavlink.dialects.v20 import ardupilotmega as mav
+
+    link = mav.MAVLink(None, srcSystem=1, srcComponent=1)
+    with path.open("wb") as file:
+        for k, stamp in enumerate(voyage.stamps // 1000):
+            lat, lon = (round(value * 1e7) for value in voyage.places[k])
+            v, ms = voyage.velocity[k], int(voyage.seconds[k] * 1000)
+            course = round(np.degrees(voyage.heading[k]) * 100) % 36000
+            for message in (
+                mav.MAVLink_gps_raw_int_message(ms * 1000, 3, lat, lon, 10000, 80, 150, 200, course, 9,
+                                                33000, 800, 1500, 200, 0),
+                mav.MAVLink_attitude_message(ms, 0.0, 0.0, voyage.heading[k], 0.0, 0.0, 0.02),
+                mav.MAVLink_scaled_imu_message(ms, 10, -20, -1000, 0, 0, 20, 0, 0, 0),
+                mav.MAVLink_local_position_ned_message(ms, *voyage.position[k], *v),
+            ):
+                file.write(struct.pack(">Q", int(stamp)) + message.pack(link))
+    return path
+
+
+# ---- SBET and PD0, for which there is no writer but this
+
+
+def sbet(path, voyage=Voyage(), hand=(-1.0, -1.0, -1.0), wander=0.3):
+    a, b, d = hand
+    c, s = np.cos(wander), np.sin(wander)
+    turned = np.array([[c, a * s], [b * s, d * c]])
+    x, y = np.linalg.solve(turned, voyage.velocity[:, :2].T)
+    lat, lon = np.radians(voyage.places.T)
+    zero = np.zeros(voyage.count)
+    time = 200_000.0 + voyage.seconds
+    rows = [time, lat, lon, zero + 33.0, x, y, zero, zero, zero, voyage.heading + wander, zero + wander]
+    np.column_stack([*rows, *[zero] * 6]).astype("<f8").tofile(path)
+    return path
+
+
+def pd0(path, voyage=Voyage(), axes=3):
+    import struct
+
+    out = []
+    for k, stamp in enumerate(voyage.stamps.tolist()):
+        now = dt.datetime.fromtimestamp(stamp / 1e9, dt.UTC)
+        fixed = bytearray(59)
+        fixed[25] = axes << 3 | 7
+        variable = bytearray(65)
+        variable[:2] = struct.pack("<H", 0x80)
+        variable[4:11] = bytes([now.year - 2000, now.month, now.day, now.hour, now.minute, now.second, 0])
+        variable[18:20] = struct.pack("<H", round(np.degrees(voyage.heading[k]) * 100) % 36000)
+        variable[57:65] = bytes([20, *variable[4:11]])
+        n, e, _ = voyage.velocity[k]
+        bottom = bytearray(81)
+        bottom[:2] = struct.pack("<H", 0x600)
+        two = {3: (e, n), 2: (0.0, 2.0), 1: (0.0, 0.0), 0: (0.0, 0.0)}[axes]
+        four = [round(-1000 * value) for value in two] + [0, 3]
+        if k % 7 == 6:
+            four = [-32768] * 4
+        bottom[24:32] = struct.pack("<4h", *four)
+        blocks = [bytes(fixed), bytes(variable), bytes(bottom)]
+        offsets = [12 + sum(map(len, blocks[:j])) for j in range(3)]
+        size = 12 + sum(map(len, blocks))
+        whole = b"\x7f\x7f" + struct.pack("<HBB3H", size, 0, 3, *offsets) + b"".join(blocks)
+        out.append(whole + struct.pack("<H", sum(whole) & 0xFFFF))
+    path.write_bytes(b"".join(out))
+    return path
+
+
+WRITERS = {
+    "nmea": (nmea, "boat.nmea"),
+    "mcap": (lambda p: bag(p, without=("/log/twist",)), "mcap"),
+    "sqlite3": (lambda p: bag(p, kind="sqlite3", without=("/log/twist",)), "sqlite3"),
+    "ros1": (lambda p: bag(p, kind="ros1", without=("/log/twist",)), "one.bag"),
+    "ulog": (ulog, "flight.ulg"),
+    "ardupilot": (dataflash, "flight.bin"),
+    "tlog": (tlog, "flight.tlog"),
+    "sbet": (sbet, "mission.sbet"),
+    "pd0": (pd0, "dvl.pd0"),
+}
