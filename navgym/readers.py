@@ -42,7 +42,9 @@ def formats() -> dict[str, str]:
 
 
 @overload
-def read(format_name: Literal["akit", "csv", "log"], path: _Name, /, **options: Any) -> Recording: ...
+def read(
+    format_name: Literal["akit", "csv", "log"], path: _Name, /, **options: Any
+) -> Recording: ...
 @overload
 def read(
     format_name: Literal["deck_csv", "repoimu", "multi_imu"], path: _Name, /, **options: Any

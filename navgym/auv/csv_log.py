@@ -142,12 +142,10 @@ def recording_of(
     acceleration: float = 0.1,
     meta: Mapping[str, Any] | None = None,
 ) -> Recording:
-    """A recording from columns of cells, wherever these come from; see `read_csv` for the rest.
+    """A recording from columns of cells, wherever these come from; options and errors of `read_csv`.
 
-    Args:
-        table: columns by name; what its `said` holds comes first in the recording's sentences.
-        progress: told how far the work is.
-        meta: what the recording is to keep beside what was read.
+    What the table's `said` holds comes first among the recording's sentences; `progress` is told
+    how far the work is; `meta` is kept beside what was read.
     """
     positive = {
         "position_noise": position_noise, "velocity_noise": velocity_noise,

@@ -117,7 +117,12 @@ def _channels(
     position = chosen(channels, "position", ("fix", "position"), topics, said)
     estimated = position is not None and position.rank == ESTIMATE
     velocity = chosen(
-        channels, "velocity", ("velocity", "body_velocity"), topics, said, position is None or estimated
+        channels,
+        "velocity",
+        ("velocity", "body_velocity"),
+        topics,
+        said,
+        position is None or estimated,
     )
     if position is None and velocity is None:
         names = ", ".join(f"{c.name} ({c.kind.replace('_', ' ')})" for c in channels.found)
@@ -156,5 +161,3 @@ def _headings(attitude: Channel, channel: Channel) -> Array:
     turned, known = attitude_at(attitude, channel.time)
     heading: Array = np.where(known, turned.as_euler("ZYX")[:, 0], np.nan)
     return heading
-
-

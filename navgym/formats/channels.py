@@ -32,8 +32,13 @@ KINDS: dict[str, dict[str, float]] = {
     "magnetometer": dict.fromkeys(("mx", "my", "mz"), 1e5),  # µT
     "depth": {"depth": 1.2e4},  # m
 }  # fmt: skip
-SENSOR, FURTHER, ESTIMATE = 0, 1, 2  # ranks: a sensor, one of several alike, what a filter made of others
-LARGEST_STAMP = 1 << 62
+# ranks: a sensor, one of several alike, what a filter made of others
+SENSOR, FURTHER, ESTIMATE = 0, 1, 2
+LOSSES = (
+    "fix",
+    "velocity",
+    "body_velocity",
+)  # kinds whose row without a number is a lost measurement
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,6 +181,6 @@ def _checked(channel: Channel) -> Channel:
                 "file is damaged, or of another kind."
             )
     told = ~np.isnan(channel.values).all(axis=1)
-    if channel.kind in ("fix", "velocity", "body_velocity") or told.all():  # a row without is a lost one
-        return channel if told.any() else replace(channel, time=channel.time[:0], values=channel.values[:0])  # fmt: skip
+    if told.any() and channel.kind in LOSSES:
+        return channel
     return replace(channel, time=channel.time[told], values=channel.values[told])

@@ -45,7 +45,7 @@ def chosen(
         return None
     best = min(c.rank for c in usable)
     first = [c for c in usable if c.rank == best]
-    if best != SENSOR and best != ESTIMATE:
+    if best not in (SENSOR, ESTIMATE):
         first = first[:1]
     if len(first) > 1:
         raise ValueError(
@@ -61,11 +61,12 @@ def chosen(
 def check_roles(topics: Mapping[str, str] | None, roles: Sequence[str]) -> dict[str, str]:
     """`topics` as a dict; ValueError for a role that is none of `roles`, or a value that is no text."""
     if topics is not None and not isinstance(topics, Mapping):
-        raise ValueError(f"topics must be a dict such as {{{roles[0]!r}: '/name'}}, got {topics!r}.")  # noqa: TRY004
+        example = f"{{{roles[0]!r}: '/name'}}"
+        raise ValueError(f"topics must be a dict such as {example}, got {topics!r}.")
     for role, name in (topics or {}).items():
         one_of("role in topics:", role, roles)
         if not isinstance(name, str):
-            raise ValueError(f"topics.{role} must be the name of a topic, got {name!r}.")  # noqa: TRY004
+            raise ValueError(f"topics.{role} must be the name of a topic, got {name!r}.")  # noqa: TRY004 - as every wrong option
     return dict(topics or {})
 
 

@@ -24,7 +24,9 @@ def rotation(quaternion: Array, enu: bool, flu: bool) -> tuple[Rotation, Array]:
         flu: whether its body is forward, left, up.
     """
     good = np.abs(np.linalg.norm(quaternion, axis=1) - 1.0) < UNIT  # False for NaN
-    matrix = Rotation.from_quat(np.where(good[:, None], quaternion, [0.0, 0.0, 0.0, 1.0])).as_matrix()
+    matrix = Rotation.from_quat(
+        np.where(good[:, None], quaternion, [0.0, 0.0, 0.0, 1.0])
+    ).as_matrix()
     matrix = (ENU if enu else np.eye(3)) @ matrix @ (FLU if flu else np.eye(3))
     return Rotation.from_matrix(matrix), good
 

@@ -105,9 +105,9 @@ def read_channels(path: str | os.PathLike[str], kind: str | None = None) -> Chan
         raise
     # libraries fail in many ways on bytes that are no file of theirs, and all mean the same
     except Exception as error:
-        what = f"{type(error).__name__}: {error}" if not isinstance(error, ValueError) else f"{error}"
+        what = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
         raise ValueError(
-            f"{source.name} cannot be read as {name} ({_short(what)}): {KINDS[name].remedy}."
+            f"{source.name} cannot be read as {name} ({_short(f'{what}{error}')}): {KINDS[name].remedy}."
         ) from error
     if not found.found:
         raise ValueError(

@@ -1,7 +1,7 @@
 """NMEA 0183: sentences of receivers and compasses, over pynmeagps.
 
 A sentence whose checksum is wrong, or that stands without one, is left out and counted. Sentences
-that tell no time (VTG, HDT, THS) have that of the last one that does.
+that tell no time (VTG, HDT, THS) have that of the last one that does, the first of each after it.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from navgym.core.text import opened
 from navgym.core.units import SIZES
 from navgym.formats.channels import SECOND, Gatherer
 
-SENTENCE = re.compile(rb"[$][A-Z]{2}(GGA|GNS|RMC|GLL|VTG|GST|HDT|THS|ZDA),[^*$]*\*[0-9A-F]{2}(?=\s|\Z)")
 BEGUN = re.compile(rb"[$][A-Z]{2}(GGA|GNS|RMC|GLL|VTG|GST|HDT|THS|ZDA),")
+SENTENCE = re.compile(BEGUN.pattern + rb"[^*$]*\*[0-9A-F]{2}(?=\s|\Z)")
 LONGEST = 1000  # bytes of a line
 HALF_A_DAY, DAY = 43_200 * SECOND, 86_400 * SECOND  # ns
 KNOT = SIZES["speed"]["kn"]  # m/s
-FIXES = ("GGA", "GNS", "RMC", "GLL")  # the same position comes in each: the first that is there counts
+FIXES = ("GGA", "GNS", "RMC", "GLL")  # all hold one position: the first that is there counts
 ALL_BAD = 0.5  # share of sentences with a wrong checksum from which the file is no log
 
 
@@ -37,6 +37,7 @@ def read(path: Path, gatherer: Gatherer) -> None:
             log.take(NMEAReader.parse(sentence + b"\r\n"))
         except (NMEAParseError, NMEAMessageError, NMEATypeError, ValueError, TypeError, AttributeError):  # fmt: skip
             log.bad += 1
+            log.told = False
     log.settle()
 
 
@@ -53,8 +54,9 @@ def _sentences(path: Path, log: _Log) -> Iterator[bytes]:
             log.count += found is not None
             if found is not None:
                 yield found[0]
-            elif BEGUN.search(line):
-                log.cut += 1
+            elif b"$" in line or line.strip():
+                log.cut += BEGUN.search(line) is not None
+                log.told = False
 
 
 class _Log:
@@ -63,13 +65,13 @@ class _Log:
     def __init__(self, gatherer: Gatherer) -> None:
         self.gatherer = gatherer
         self.count = self.bad = self.cut = 0
-        self.day: int | None = None  # ns since 1970 of the last date's midnight
-        self.first_day: int | None = None  # that the first date tells
         self.clock = -1  # ns since the day of the first sentence
+        self.told = False  # whether the clock is that of the sentences that follow
+        self.seen: set[str] = set()  # kinds of sentences without a time since the clock ticked
         self.nights = 0
         self.accuracy: dict[int, tuple[float, float, float]] = {}
         self.dates: list[tuple[int, int]] = []  # clock, day
-        self.gone = 0  # sentences before any time
+        self.gone = 0  # sentences whose time is not known
 
     def take(self, message: Any) -> None:
         """Keep what a sentence says."""
@@ -101,7 +103,9 @@ class _Log:
             clock += DAY
         elif clock > self.clock + HALF_A_DAY and self.clock >= 0 and self.nights:
             clock -= DAY  # of yesterday, after the first of today
-        self.clock = clock
+        if clock != self.clock or not self.told:
+            self.seen.clear()
+        self.clock, self.told = clock, True
 
     def _dated(self, date: dt.date) -> None:
         self.dates.append((self.clock, (date - dt.date(1970, 1, 1)).days * DAY))
@@ -122,9 +126,11 @@ class _Log:
             self._velocity("RMC", message.spd, message.cog, good)
 
     def _untimed(self, kind: str, message: Any) -> None:
-        if self.clock < 0:
+        if not self.told or kind in self.seen:  # of several after one time only the first has it
             self.gone += 1
-        elif kind == "VTG":
+            return
+        self.seen.add(kind)
+        if kind == "VTG":
             self._velocity("VTG", message.sogn, message.cogt, True)
         else:
             told = message.headingT if kind == "HDT" else message.headt
@@ -147,7 +153,7 @@ class _Log:
         if self.bad + self.cut:
             g.doubts.append(f"{self.bad + self.cut} of {self.count + self.cut} sentences are damaged: left out")  # fmt: skip
         if self.gone:
-            g.said.append(f"{self.gone} sentences before the first time are left out")
+            g.said.append(f"{self.gone} sentences are left out, of which no time is known")
         for kind, names in (("fix", FIXES), ("velocity", ("RMC", "VTG")), ("attitude", ("HDT", "THS"))):  # fmt: skip
             there = [name for name in names if (name, kind) in g.rows]
             for name in there[1:]:

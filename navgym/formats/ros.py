@@ -68,8 +68,12 @@ class _Bag:
         """Hand the attitudes on, and say what was found."""
         for topic, told in self.attitudes.items():
             q = np.frombuffer(told.quaternions, np.float64).reshape(-1, 4)
-            columns = dict(zip(("roll", "pitch", "heading"), angles(q, told.enu, told.flu).T, strict=True))
-            self.gatherer.add(topic, "attitude", np.frombuffer(told.time, np.int64), columns, told.rank)
+            columns = dict(
+                zip(("roll", "pitch", "heading"), angles(q, told.enu, told.flu).T, strict=True)
+            )
+            self.gatherer.add(
+                topic, "attitude", np.frombuffer(told.time, np.int64), columns, told.rank
+            )
         if self.late:
             self.gatherer.doubts.append(
                 f"{self.late} messages have no stamp of their own: taken when they were received"

@@ -40,4 +40,3 @@ def rows_of(path: Path, channels: Sequence[Channel], said: Sequence[str] = (), m
     for name, parts in (more or {}).items():
         cells[name] = Cells.of_numbers(np.concatenate(parts)[index])
     return Table(path, cells, index + 1, said=said)
-

@@ -83,7 +83,9 @@ def _velocity(data: NDArray[Any], gatherer: Gatherer) -> dict[str, Array] | None
         )
         return None
     down = -1.0 if np.abs(_middle(data["z"]) - up).sum() <= np.abs(_middle(data["z"]) + up).sum() else 1.0  # fmt: skip
-    gatherer.said.append(f"velocities have {best}, z {'up' if down < 0 else 'down'}, as positions tell")
+    gatherer.said.append(
+        f"velocities have {best}, z {'up' if down < 0 else 'down'}, as positions tell"
+    )
     return {"vn": found[best][0], "ve": found[best][1], "vd": down * data["z"]}
 
 

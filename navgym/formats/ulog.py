@@ -18,7 +18,8 @@ from navgym.formats.frames import angles
 GPS = ("vehicle_gps_position", "sensor_gps")  # what the autopilot made of its receivers, or each
 MESSAGES = (*GPS, "sensor_combined", "vehicle_attitude", "vehicle_local_position")
 TWO_D, THREE_D = 2, 3  # types of fix
-SCALE = {"lat": 1e-7, "lon": 1e-7, "alt": 1e-3, "alt_ellipsoid": 1e-3}  # of whole numbers, before 1.15
+# of whole numbers, which these were before 1.15
+SCALE = {"lat": 1e-7, "lon": 1e-7, "alt": 1e-3, "alt_ellipsoid": 1e-3}
 US = 1000  # ns
 
 

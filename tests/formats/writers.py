@@ -18,6 +18,7 @@ class Voyage:
 
     count: int = 60
     step: float = 1.0
+    start: int = START  # ns since 1970
 
     @property
     def seconds(self):
@@ -25,7 +26,7 @@ class Voyage:
 
     @property
     def stamps(self):
-        return START + np.round(self.seconds * 1e9).astype(np.int64)
+        return self.start + np.round(self.seconds * 1e9).astype(np.int64)
 
     @property
     def heading(self):
@@ -34,7 +35,9 @@ class Voyage:
     @property
     def velocity(self):
         """North, east, down, m/s."""
-        return 2.0 * np.column_stack([np.cos(self.heading), np.sin(self.heading), 0.0 * self.seconds])
+        return 2.0 * np.column_stack(
+            [np.cos(self.heading), np.sin(self.heading), 0.0 * self.seconds]
+        )
 
     @property
     def position(self):
@@ -68,7 +71,11 @@ def nmea(path, voyage=Voyage(), course="RMC", heading=True):
         out.append(NMEAMessage("GN", "GGA", GET, time=time, quality=4, alt=10.0, sep=23.0, **place))
         out.append(NMEAMessage("GN", "GST", GET, time=time, stdLat=0.8, stdLong=0.7, stdAlt=1.5))
         if course == "RMC":
-            out.append(NMEAMessage("GN", "RMC", GET, time=time, status="A", date=now.date(), **place, **moving))
+            out.append(
+                NMEAMessage(
+                    "GN", "RMC", GET, time=time, status="A", date=now.date(), **place, **moving
+                )
+            )
         else:
             out.append(NMEAMessage("GN", "VTG", GET, cogt=moving["cog"], sogn=moving["spd"]))
         if heading:
@@ -83,7 +90,9 @@ def nmea(path, voyage=Voyage(), course="RMC", heading=True):
 def header(store, stamp, frame, ros1=False):
     Time, Header = store.types["builtin_interfaces/msg/Time"], store.types["std_msgs/msg/Header"]
     stamp = Time(sec=int(stamp // 10**9), nanosec=int(stamp % 10**9))
-    return Header(seq=0, stamp=stamp, frame_id=frame) if ros1 else Header(stamp=stamp, frame_id=frame)
+    return (
+        Header(seq=0, stamp=stamp, frame_id=frame) if ros1 else Header(stamp=stamp, frame_id=frame)
+    )
 
 
 DVL_MSG = """std_msgs/Header header
@@ -111,23 +120,60 @@ def messages(store, voyage, ros1=False, without=()):
             return header(store, stamp, frame, ros1)
 
         status = T["sensor_msgs/msg/NavSatStatus"](status=0 if k != 3 else -1, service=1)
-        yield "/gps/fix", "sensor_msgs/msg/NavSatFix", stamp, T["sensor_msgs/msg/NavSatFix"](
-            head("gps"), status, *voyage.places[k].tolist(), 33.0, fine, 2)
-        yield "/imu", "sensor_msgs/msg/Imu", stamp, T["sensor_msgs/msg/Imu"](
-            head("imu_link"), q, none, _vector(store, (0.0, 0.0, -0.02)), none,
-            _vector(store, (0.1, 0.2, GRAVITY)), none)
-        twist = T["geometry_msgs/msg/Twist"](_vector(store, (2.0, 0.0, 0.0)), _vector(store, (0, 0, -0.02)))
+        yield (
+            "/gps/fix",
+            "sensor_msgs/msg/NavSatFix",
+            stamp,
+            T["sensor_msgs/msg/NavSatFix"](
+                head("gps"), status, *voyage.places[k].tolist(), 33.0, fine, 2
+            ),
+        )
+        yield (
+            "/imu",
+            "sensor_msgs/msg/Imu",
+            stamp,
+            T["sensor_msgs/msg/Imu"](
+                head("imu_link"),
+                q,
+                none,
+                _vector(store, (0.0, 0.0, -0.02)),
+                none,
+                _vector(store, (0.1, 0.2, GRAVITY)),
+                none,
+            ),
+        )
+        twist = T["geometry_msgs/msg/Twist"](
+            _vector(store, (2.0, 0.0, 0.0)), _vector(store, (0, 0, -0.02))
+        )
         cov = np.diag([0.01, 0.04, 0.09, 1, 1, 1.0]).ravel()
         twist = T["geometry_msgs/msg/TwistWithCovariance"](twist, cov)
-        yield "/log/twist", "geometry_msgs/msg/TwistWithCovarianceStamped", stamp, T[
-            "geometry_msgs/msg/TwistWithCovarianceStamped"](head("base_link"), twist)
+        yield (
+            "/log/twist",
+            "geometry_msgs/msg/TwistWithCovarianceStamped",
+            stamp,
+            T["geometry_msgs/msg/TwistWithCovarianceStamped"](head("base_link"), twist),
+        )
         pose = T["geometry_msgs/msg/Pose"](Point(e, n, -d), q)
         pose = T["geometry_msgs/msg/PoseWithCovariance"](pose, cov)
-        yield "/odom", "nav_msgs/msg/Odometry", stamp, T["nav_msgs/msg/Odometry"](
-            head("odom"), "base_link", pose, twist)
+        yield (
+            "/odom",
+            "nav_msgs/msg/Odometry",
+            stamp,
+            T["nav_msgs/msg/Odometry"](head("odom"), "base_link", pose, twist),
+        )
         valid = k % 5 != 4
-        yield "/dvl", "dvl_msgs/msg/DVL", stamp, T["dvl_msgs/msg/DVL"](
-            head("dvl"), _vector(store, (2.0, 0.0, 0.0)), np.diag([1e-4] * 3).ravel(), valid, 5.0)
+        yield (
+            "/dvl",
+            "dvl_msgs/msg/DVL",
+            stamp,
+            T["dvl_msgs/msg/DVL"](
+                head("dvl"),
+                _vector(store, (2.0, 0.0, 0.0)),
+                np.diag([1e-4] * 3).ravel(),
+                valid,
+                5.0,
+            ),
+        )
 
 
 def typestore(ros1=False):
@@ -145,8 +191,15 @@ def bag(path, voyage=Voyage(), kind="mcap", without=(), more=()):
 
     ros1 = kind == "ros1"
     store = typestore(ros1)
-    writer = Writer1(path) if ros1 else Writer(
-        path, version=8, storage_plugin=StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3)
+    writer = (
+        Writer1(path)
+        if ros1
+        else Writer(
+            path,
+            version=8,
+            storage_plugin=StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3,
+        )
+    )
     known = {}
     with writer:
         for topic, name, stamp, message in [*messages(store, voyage, ros1), *more]:
@@ -156,6 +209,34 @@ def bag(path, voyage=Voyage(), kind="mcap", without=(), more=()):
                 known[topic] = writer.add_connection(topic, name, typestore=store)
             raw = (store.serialize_ros1 if ros1 else store.serialize_cdr)(message, name)
             writer.write(known[topic], stamp + 5_000_000, raw)
+    return path
+
+
+def mcap_crc(path, voyage=Voyage()):
+    """Velocities, by the writer of the makers of MCAP, which guards chunks by checksums."""
+    from mcap_ros2.writer import Writer
+
+    bar = "=" * 80
+    text = (
+        "std_msgs/Header header\ngeometry_msgs/Twist twist\n"
+        f"{bar}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+        f"{bar}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+        f"{bar}\nMSG: geometry_msgs/Twist\ngeometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n"
+        f"{bar}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n"
+    )
+    with path.open("wb") as file:
+        writer = Writer(file)
+        schema = writer.register_msgdef("geometry_msgs/msg/TwistStamped", text)
+        for k, stamp in enumerate(voyage.stamps.tolist()):
+            n, e, _ = voyage.velocity[k].tolist()
+            head = {"stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9}, "frame_id": "map"}
+            twist = {
+                "linear": {"x": e, "y": n, "z": 0.0},
+                "angular": {"x": 0.0, "y": 0.0, "z": 0.0},
+            }
+            message = {"header": head, "twist": twist}
+            writer.write_message("/speed", schema, message, log_time=stamp, publish_time=stamp)
+        writer.finish()
     return path
 
 
@@ -234,7 +315,21 @@ def dataflash(path, voyage=Voyage()):
         (lat, lon), v = voyage.places[k], voyage.velocity[k]
         degrees = float(np.degrees(voyage.heading[k]))
         for name, row in (
-            ("GPS", (0, 3, 1000 * k, 2440, round(lat * 1e7), round(lon * 1e7), 3300, 2.0, degrees % 360, 0.0)),
+            (
+                "GPS",
+                (
+                    0,
+                    3,
+                    1000 * k,
+                    2440,
+                    round(lat * 1e7),
+                    round(lon * 1e7),
+                    3300,
+                    2.0,
+                    degrees % 360,
+                    0.0,
+                ),
+            ),
             ("GPA", (0, 150, 80, 20)),
             ("IMU", (0, 0.0, 0.0, 0.02, 0.1, -0.2, -GRAVITY)),
             ("IMU", (1, 0.0, 0.0, 0.02, 0.1, -0.2, -GRAVITY)),
@@ -258,11 +353,26 @@ def tlog(path, voyage=Voyage()):
             v, ms = voyage.velocity[k], int(voyage.seconds[k] * 1000)
             course = round(np.degrees(voyage.heading[k]) * 100) % 36000
             for message in (
-                mav.MAVLink_gps_raw_int_message(ms * 1000, 3, lat, lon, 10000, 80, 150, 200, course, 9,
-                                                33000, 800, 1500, 200, 0),
-                mav.MAVLink_attitude_message(ms, 0.0, 0.0, voyage.heading[k], 0.0, 0.0, 0.02),
-                mav.MAVLink_scaled_imu_message(ms, 10, -20, -1000, 0, 0, 20, 0, 0, 0),
-                mav.MAVLink_local_position_ned_message(ms, *voyage.position[k], *v),
+                mav.MAVLink_gps_raw_int_message(
+                    (ms + 1) * 1000,
+                    3,
+                    lat,
+                    lon,
+                    10000,
+                    80,
+                    150,
+                    200,
+                    course,
+                    9,
+                    33000,
+                    800,
+                    1500,
+                    200,
+                    0,
+                ),
+                mav.MAVLink_attitude_message(ms + 1, 0.0, 0.0, voyage.heading[k], 0.0, 0.0, 0.02),
+                mav.MAVLink_scaled_imu_message(ms + 1, 10, -20, -1000, 0, 0, 20, 0, 0, 0),
+                mav.MAVLink_local_position_ned_message(ms + 1, *voyage.position[k], *v),
             ):
                 file.write(struct.pack(">Q", int(stamp)) + message.pack(link))
     return path
@@ -279,7 +389,19 @@ def sbet(path, voyage=Voyage(), hand=(-1.0, -1.0, -1.0), wander=0.3):
     lat, lon = np.radians(voyage.places.T)
     zero = np.zeros(voyage.count)
     time = 200_000.0 + voyage.seconds
-    rows = [time, lat, lon, zero + 33.0, x, y, zero, zero, zero, voyage.heading + wander, zero + wander]
+    rows = [
+        time,
+        lat,
+        lon,
+        zero + 33.0,
+        x,
+        y,
+        zero,
+        zero,
+        zero,
+        voyage.heading + wander,
+        zero + wander,
+    ]
     np.column_stack([*rows, *[zero] * 6]).astype("<f8").tofile(path)
     return path
 
@@ -294,7 +416,9 @@ def pd0(path, voyage=Voyage(), axes=3):
         fixed[25] = axes << 3 | 7
         variable = bytearray(65)
         variable[:2] = struct.pack("<H", 0x80)
-        variable[4:11] = bytes([now.year - 2000, now.month, now.day, now.hour, now.minute, now.second, 0])
+        variable[4:11] = bytes(
+            [now.year - 2000, now.month, now.day, now.hour, now.minute, now.second, 0]
+        )
         variable[18:20] = struct.pack("<H", round(np.degrees(voyage.heading[k]) * 100) % 36000)
         variable[57:65] = bytes([20, *variable[4:11]])
         n, e, _ = voyage.velocity[k]
@@ -319,6 +443,7 @@ WRITERS = {
     "mcap": (lambda p: bag(p, without=("/log/twist",)), "mcap"),
     "sqlite3": (lambda p: bag(p, kind="sqlite3", without=("/log/twist",)), "sqlite3"),
     "ros1": (lambda p: bag(p, kind="ros1", without=("/log/twist",)), "one.bag"),
+    "mcap_crc": (mcap_crc, "speed.mcap"),
     "ulog": (ulog, "flight.ulg"),
     "ardupilot": (dataflash, "flight.bin"),
     "tlog": (tlog, "flight.tlog"),

@@ -1,0 +1,158 @@
+"""A thousand damaged files of each kind: each is read, or refused by an error that names it.
+
+Where a kind guards its bytes with checksums, whatever is read of a damaged file stood in the good
+one. Where it does not (sqlite3, ROS 1, most MCAP, dataflash, ULog, SBET), a number that is wrong and possible
+cannot be told from a right one, and it is only asked that numbers are possible.
+"""
+
+import shutil
+import time
+import warnings
+
+import numpy as np
+import pytest
+
+import navgym
+from navgym.formats.channels import KINDS
+from navgym.formats.kinds import read_channels
+from tests import damage
+from tests.formats.writers import WRITERS, Voyage
+
+LONGEST = 5.0  # s: a hang
+GUARDED = ("nmea", "mcap_crc", "tlog", "pd0")
+SMALL = Voyage(count=12)
+MANY = 1000
+
+
+def swapped(content, rng):
+    """Two spans in each other's place."""
+    a, b, c = sorted(rng.integers(0, len(content) + 1, 3).tolist())
+    return content[:a] + content[b:c] + content[a:b] + content[c:]
+
+
+def length(content, rng):
+    """A word of four bytes that may be a length, large or none."""
+    found = bytearray(content)
+    at = int(rng.integers(0, max(len(found) - 4, 1)))
+    found[at : at + 4] = int(rng.choice([0, 1, 255, 2**16, 2**31 - 1, 2**32 - 1])).to_bytes(
+        4, "little"
+    )
+    return bytes(found)
+
+
+DAMAGES = (*damage.BYTES, damage.flipped, damage.flipped, swapped, length, length)
+
+
+def damaged(content, rng):
+    for _ in range(rng.integers(1, 3)):
+        content = DAMAGES[rng.integers(len(DAMAGES))](content, rng)
+    return content
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("damaged")
+    return {
+        name: (write(folder / file, SMALL) if name not in BAGS else BAGS[name](folder / file))
+        for name, (write, file) in WRITERS.items()
+    }
+
+
+def _bag(kind):
+    from tests.formats.writers import bag
+
+    return lambda path: bag(path, SMALL, kind=kind, without=("/log/twist",))
+
+
+BAGS = {name: _bag(name) for name in ("mcap", "sqlite3", "ros1")}
+
+
+def single(path):
+    """The file with the data."""
+    return path if path.is_file() else next(p for p in path.iterdir() if p.suffix != ".yaml")
+
+
+def rows(channels):
+    """Every row of a log as text, by channel."""
+    return {
+        (c.name, c.kind): {(t, *map(repr, v)) for t, v in zip(c.time.tolist(), c.values.tolist(), strict=True)}
+        for c in channels.found
+    }  # fmt: skip
+
+
+def attempt(path):
+    """The channels and the recording of a file, or what the error says."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return read_channels(path), navgym.read("log", path)
+    except (ValueError, OSError) as error:
+        return str(error)
+
+
+def campaign(name, path, seeds, tmp_path):
+    """How many of the damaged files were refused."""
+    whole = single(path)
+    content = whole.read_bytes()
+    good = rows(read_channels(path))
+    target = tmp_path / whole.name
+    refused = 0
+    for seed in seeds:
+        target.write_bytes(damaged(content, np.random.default_rng([0xDC, seed])))
+        begun = time.perf_counter()
+        found = attempt(target)
+        assert time.perf_counter() - begun < LONGEST, seed
+        if isinstance(found, str):
+            assert target.name in found, (seed, found)
+            refused += 1
+            continue
+        channels, log = found
+        assert np.isfinite(log.measurements[~log.lost]).all(), seed
+        judge(name, good, channels, seed)
+    return refused
+
+
+def judge(name, good, found, seed):
+    for channel in found.found:
+        for values, most in zip(channel.values.T, KINDS[channel.kind].values(), strict=True):
+            assert np.nanmax(np.abs(values), initial=0.0) <= most, seed
+    if name in GUARDED:
+        for key, told in rows(found).items():
+            if key[0] == "HDT":  # tells no time: has that of the sentence before, which may be gone
+                continue
+            right = {row[0]: row for row in good.get(key, ())}
+            for row in told:  # of an accuracy in a sentence of its own there may be none
+                there = right.get(row[0], ())
+                assert all(v in ("nan", r) for v, r in zip(row[1:], there[1:], strict=True)), (
+                    seed,
+                    key,
+                    row,
+                )
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_damaged_file_is_read_or_refused_by_name(name, logs, tmp_path):
+    assert campaign(name, logs[name], range(25), tmp_path) > 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_thousand_damaged_files_are_read_or_refused_by_name(name, logs, tmp_path):
+    refused = campaign(name, logs[name], range(MANY), tmp_path)
+    print(f"{name}: {refused} of {MANY} refused")
+    assert refused > MANY / 20
+
+
+def test_a_bag_whose_metadata_are_damaged_is_read_or_refused_by_name(logs, tmp_path):
+    folder = tmp_path / "bag"
+    shutil.copytree(logs["sqlite3"], folder)
+    content = (folder / "metadata.yaml").read_bytes()
+    refused = 0
+    for seed in range(60):
+        (folder / "metadata.yaml").write_bytes(
+            damage.damaged_text(content, np.random.default_rng([1, seed]))
+        )
+        found = attempt(folder)
+        assert not isinstance(found, str) or "bag" in found, (seed, found)
+        refused += isinstance(found, str)
+    assert refused > 10
