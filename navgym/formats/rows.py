@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from navgym.core.checks import Array
 from navgym.core.tables import Cells, Table
-from navgym.formats.channels import KINDS, Channel
+from navgym.formats.channels import KINDS, SECOND, Channel
 
 TIME = "time (ns)"
+LATEST = 1.0  # s, by which a row may come late
 
 
 def rows_of(path: Path, channels: Sequence[Channel], said: Sequence[str] = (), more: Mapping[str, Sequence[Array]] | None = None) -> Table:  # fmt: skip
@@ -40,3 +42,38 @@ def rows_of(path: Path, channels: Sequence[Channel], said: Sequence[str] = (), m
     for name, parts in (more or {}).items():
         cells[name] = Cells.of_numbers(np.concatenate(parts)[index])
     return Table(path, cells, index + 1, said=said)
+
+
+def ordered(channel: Channel, said: list[str]) -> Channel:
+    """The channel with times that increase strictly; what was done about it is said.
+
+    Raises ValueError where times go back by over `LATEST` s, as where a clock is set.
+    """
+    steps = np.diff(channel.time)
+    if (steps < -LATEST * SECOND).any():
+        k = int(np.argmax(steps < -LATEST * SECOND)) + 1
+        raise ValueError(
+            f"{channel.name}, row {k + 1}: the time goes back by {-steps[k - 1] / SECOND:g} s, as where "
+            "a clock is set: cut the log there."
+        )
+    time, index = np.unique(channel.time, return_index=True)
+    late, twice = int((steps < 0).sum()), len(channel) - len(time)
+    if late:
+        said.append(f"{channel.name}: rows sorted by time ({late} came late)")
+    if twice:
+        said.append(f"{channel.name}: {twice} rows left out, of times that stand there before")
+    return replace(channel, time=time, values=channel.values[index])
+
+
+def alone(path: Path, channel: Channel, columns: Mapping[str, Array], start: int) -> Table:
+    """A table of one channel.
+
+    Args:
+        path: of the log.
+        channel: with times that increase.
+        columns: its columns.
+        start: ns, from which the table's times count.
+    """
+    time = (channel.time - start) / SECOND
+    cells = {name: Cells.of_numbers(values) for name, values in columns.items()}
+    return Table(path, {"time": Cells.of_numbers(time), **cells}, np.arange(1, len(time) + 1))
