@@ -2,6 +2,7 @@
 
 import datetime as dt
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,37 +21,37 @@ class Voyage:
     step: float = 1.0
     start: int = START  # ns since 1970
 
-    @property
+    @cached_property
     def seconds(self):
         return self.step * np.arange(self.count)
 
-    @property
+    @cached_property
     def stamps(self):
         return self.start + np.round(self.seconds * 1e9).astype(np.int64)
 
-    @property
+    @cached_property
     def heading(self):
-        return 0.7 + 0.02 * self.seconds
+        return (0.7 + 0.02 * self.seconds + np.pi) % (2 * np.pi) - np.pi
 
-    @property
+    @cached_property
     def velocity(self):
         """North, east, down, m/s."""
         return 2.0 * np.column_stack(
             [np.cos(self.heading), np.sin(self.heading), 0.0 * self.seconds]
         )
 
-    @property
+    @cached_property
     def position(self):
         """North, east, down, m."""
         h = self.heading
         return 100.0 * np.column_stack([np.sin(h) - np.sin(0.7), np.cos(0.7) - np.cos(h), 0.0 * h])
 
-    @property
+    @cached_property
     def places(self):
         """Latitude, longitude, °."""
         return np.array(ORIGIN) + self.position[:, :2] / METRES
 
-    @property
+    @cached_property
     def to_enu(self):
         """Quaternions x, y, z, w from forward, left, up to east, north, up."""
         return Rotation.from_euler("z", (np.pi / 2 - self.heading)[:, None]).as_quat()
@@ -417,7 +418,15 @@ def pd0(path, voyage=Voyage(), axes=3):
         variable = bytearray(65)
         variable[:2] = struct.pack("<H", 0x80)
         variable[4:11] = bytes(
-            [now.year - 2000, now.month, now.day, now.hour, now.minute, now.second, 0]
+            [
+                now.year - 2000,
+                now.month,
+                now.day,
+                now.hour,
+                now.minute,
+                now.second,
+                stamp // 10**7 % 100,
+            ]
         )
         variable[18:20] = struct.pack("<H", round(np.degrees(voyage.heading[k]) * 100) % 36000)
         variable[57:65] = bytes([20, *variable[4:11]])
