@@ -58,16 +58,17 @@ def chosen(
     return first[0]
 
 
-def check_roles(topics: Mapping[str, str] | None, roles: Sequence[str]) -> dict[str, str]:
+def check_roles(topics: object, roles: Sequence[str]) -> dict[str, str]:
     """`topics` as a dict; ValueError for a role that is none of `roles`, or a value that is no text."""
     if topics is not None and not isinstance(topics, Mapping):
         example = f"{{{roles[0]!r}: '/name'}}"
         raise ValueError(f"topics must be a dict such as {example}, got {topics!r}.")
-    for role, name in (topics or {}).items():
+    told: Mapping[str, str] = {} if topics is None else topics
+    for role, name in told.items():
         one_of("role in topics:", role, roles)
         if not isinstance(name, str):
             raise ValueError(f"topics.{role} must be the name of a topic, got {name!r}.")  # noqa: TRY004 - as every wrong option
-    return dict(topics or {})
+    return dict(told)
 
 
 def _names(channels: Sequence[Channel]) -> str:

@@ -111,12 +111,12 @@ class _Log:
         self.dates.append((self.clock, (date - dt.date(1970, 1, 1)).days * DAY))
 
     def _fix(self, kind: str, message: Any) -> None:
-        good = {
-            "GGA": lambda: int(message.quality) > 0,
-            "GNS": lambda: any(letter not in "N" for letter in str(message.posMode)),
-            "RMC": lambda: message.status == "A",
-            "GLL": lambda: message.status == "A",
-        }[kind]()
+        if kind == "GGA":
+            good = int(message.quality) > 0
+        elif kind == "GNS":
+            good = any(letter != "N" for letter in str(message.posMode))
+        else:
+            good = message.status == "A"
         lat, lon = (_number(message.lat), _number(message.lon)) if good else (math.nan, math.nan)
         height = math.nan
         if good and kind in ("GGA", "GNS"):

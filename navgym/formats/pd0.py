@@ -71,7 +71,7 @@ def _ensembles(data: mmap.mmap, gatherer: Gatherer) -> Iterator[tuple[int, dict[
 
 def _sound(data: mmap.mmap, begin: int, size: int) -> bool:
     (told,) = struct.unpack_from("<H", data, begin + size)
-    return sum(data[begin : begin + size]) & 0xFFFF == told
+    return bool(sum(data[begin : begin + size]) & 0xFFFF == told)
 
 
 def _blocks(ensemble: bytes) -> dict[int, bytes]:

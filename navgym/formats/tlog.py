@@ -62,7 +62,7 @@ class _Clock:
 
     def stamp(self, m: Any) -> int:
         """ns since boot; negative, of the ground's clock, where the message does not tell."""
-        received = round(m._timestamp * 1e6) * 1000
+        received: int = round(m._timestamp * 1e6) * 1000
         told = m.time_boot_ms * 1000 if hasattr(m, "time_boot_ms") else m.time_usec
         if not 0 < told < BOOT:
             self.untimed += 1
