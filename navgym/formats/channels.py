@@ -117,6 +117,12 @@ class Gathered:
         self.values.extend((np.nan,) * gone)
         self.time.append(stamp)
 
+    def keep(self, wanted: NDArray[np.bool_]) -> None:
+        """Keep (T,) rows of those added."""
+        time = np.frombuffer(self.time, np.int64)[wanted]
+        values = np.frombuffer(self.values, np.float64).reshape(len(wanted), -1)[wanted]
+        self.time, self.values = array("q", time.tobytes()), array("d", values.tobytes())
+
 
 class Gatherer:
     """Collects the channels of one file.

@@ -1,7 +1,9 @@
 """NMEA 0183: sentences of receivers and compasses, over pynmeagps.
 
-A sentence whose checksum is wrong, or that stands without one, is left out and counted. Sentences
-that tell no time (VTG, HDT, THS) have that of the last one that does, the first of each after it.
+Fields, checksums and number formats are the library's; of a sentence only the wanted fields are
+turned into numbers, as a message object of the library takes ten times as long. A sentence whose
+checksum is wrong, or that stands without one, is left out and counted. What sentences without a
+time (VTG, HDT, THS) belong to stands in `navgym.formats.epochs`.
 """
 
 from __future__ import annotations
@@ -10,34 +12,83 @@ import datetime as dt
 import math
 import re
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
-from pynmeagps import NMEAReader
-from pynmeagps.exceptions import NMEAMessageError, NMEAParseError, NMEATypeError
+import numpy as np
+from pynmeagps import NMEA_PAYLOADS_GET, calc_checksum, date2utc, dmm2ddd, get_parts, time2utc
+from pynmeagps.exceptions import NMEAMessageError
 
 from navgym.core.text import opened
 from navgym.core.units import SIZES
 from navgym.formats.channels import SECOND, Gatherer
+from navgym.formats.epochs import Epochs
 
 BEGUN = re.compile(rb"[$][A-Z]{2}(GGA|GNS|RMC|GLL|VTG|GST|HDT|THS|ZDA),")
-SENTENCE = re.compile(BEGUN.pattern + rb"[^*$]*\*[0-9A-F]{2}(?=\s|\Z)")
+SENTENCE = re.compile(BEGUN.pattern + rb"[^*$]*\*[0-9A-Fa-f]{2}(?=\s|\Z)")
 LONGEST = 1000  # bytes of a line
 HALF_A_DAY, DAY = 43_200 * SECOND, 86_400 * SECOND  # ns
 KNOT = SIZES["speed"]["kn"]  # m/s
-FIXES = ("GGA", "GNS", "RMC", "GLL")  # all hold one position: the first that is there counts
+UNTIMED = ("VTG", "HDT", "THS")
+# who tells what: the first that is there counts
+TELLERS = {
+    "fix": ("GGA", "GNS", "RMC", "GLL"), "velocity": ("RMC", "VTG"), "attitude": ("HDT", "THS"),
+}  # fmt: skip
 ALL_BAD = 0.5  # share of sentences with a wrong checksum from which the file is no log
+PLACES = {  # by kind and name, where a field stands
+    kind: {name: k for k, name in enumerate(NMEA_PAYLOADS_GET[kind])}
+    for kind in ("GGA", "GNS", "RMC", "GLL", "VTG", "GST", "HDT", "THS", "ZDA")
+}
+
+
+class _Sentence:
+    """One sentence; ValueError for a wrong checksum, IndexError for a field that is not there."""
+
+    def __init__(self, raw: bytes) -> None:
+        content, _, self.kind, self.fields, told = get_parts(raw)
+        if told.upper() != calc_checksum(content):
+            raise ValueError("a wrong checksum")
+        self.places = PLACES[self.kind]
+
+    def text(self, name: str) -> str:
+        """A field as it stands."""
+        found: str = self.fields[self.places[name]]
+        return found
+
+    def number(self, name: str) -> float:
+        """A field as a number, NaN where it is empty."""
+        text = self.text(name)
+        return float(text) if text else math.nan
+
+    def degrees(self, name: str, side: str, negative: str) -> float:
+        """A latitude or longitude, NaN where it is none."""
+        found = dmm2ddd(self.text(name))
+        if found == "":
+            return math.nan
+        return -abs(float(found)) if self.text(side) == negative else abs(float(found))
+
+    def of_day(self) -> int:
+        """ns since midnight, -1 where no time is told."""
+        return _of_day(self.text("time"))
+
+
+@lru_cache(maxsize=4)  # sentences of one moment follow each other
+def _of_day(text: str) -> int:
+    time = time2utc(text)
+    if not isinstance(time, dt.time):
+        return -1
+    seconds = time.hour * 3600 + time.minute * 60 + time.second
+    return seconds * SECOND + time.microsecond * 1000
 
 
 def read(path: Path, gatherer: Gatherer) -> None:
     """Positions, velocities over ground, their accuracy, and headings of a file."""
     log = _Log(gatherer)
-    for sentence in _sentences(path, log):
+    for raw in _sentences(path, log):
         try:
-            log.take(NMEAReader.parse(sentence + b"\r\n"))
-        except (NMEAParseError, NMEAMessageError, NMEATypeError, ValueError, TypeError, AttributeError):  # fmt: skip
+            log.take(_Sentence(raw))
+        except (NMEAMessageError, ValueError, IndexError):
             log.bad += 1
-            log.told = False
     log.settle()
 
 
@@ -47,16 +98,14 @@ def _sentences(path: Path, log: _Log) -> Iterator[bytes]:
     with opened(path) as file:
         while line := file.readline(LONGEST):
             done += len(line)
-            gatherer_share = min(done / size, 1.0)
             if not log.count % 1000:
-                log.gatherer.progress.at(gatherer_share)
+                log.gatherer.progress.at(min(done / size, 1.0))
             found = SENTENCE.search(line)
             log.count += found is not None
             if found is not None:
                 yield found[0]
-            elif b"$" in line or line.strip():
+            else:
                 log.cut += BEGUN.search(line) is not None
-                log.told = False
 
 
 class _Log:
@@ -66,81 +115,83 @@ class _Log:
         self.gatherer = gatherer
         self.count = self.bad = self.cut = 0
         self.clock = -1  # ns since the day of the first sentence
-        self.told = False  # whether the clock is that of the sentences that follow
-        self.seen: set[str] = set()  # kinds of sentences without a time since the clock ticked
         self.nights = 0
+        self.epochs = Epochs()
         self.accuracy: dict[int, tuple[float, float, float]] = {}
         self.dates: list[tuple[int, int]] = []  # clock, day
-        self.gone = 0  # sentences whose time is not known
+        self.tellers: dict[str, set[str]] = {quantity: set() for quantity in TELLERS}
 
-    def take(self, message: Any) -> None:
+    def take(self, s: _Sentence) -> None:
         """Keep what a sentence says."""
-        kind = message.msgID
-        if kind in ("VTG", "HDT", "THS"):
-            self._untimed(kind, message)
+        if s.kind in UNTIMED:
+            self._untimed(s)
             return
-        if not isinstance(message.time, dt.time):
-            return  # a receiver that does not know the time yet
-        self._tick(message.time)
-        if kind == "RMC" and isinstance(message.date, dt.date):
-            self._dated(message.date)
-        elif kind == "ZDA":
-            self._dated(dt.date(int(message.year), int(message.month), int(message.day)))
-        elif kind == "GST":
-            self.accuracy[self.clock] = (
-                _number(message.stdLat), _number(message.stdLong), _number(message.stdAlt)
-            )  # fmt: skip
-        if kind in FIXES:
-            self._fix(kind, message)
+        of_day = s.of_day()
+        if of_day < 0:  # a receiver that does not know the time yet, or has lost it
+            self.epochs.timed(s.kind, None)
+            return
+        self._tick(of_day)
+        self.epochs.timed(s.kind, self.clock)
+        if s.kind == "RMC":
+            self._dated(date2utc(s.text("date")))
+        elif s.kind == "ZDA":
+            self._dated(dt.date(int(s.text("year")), int(s.text("month")), int(s.text("day"))))
+        elif s.kind == "GST":
+            self.accuracy[self.clock] = s.number("stdLat"), s.number("stdLong"), s.number("stdAlt")
+        if s.kind in TELLERS["fix"]:
+            self._fix(s)
 
-    def _tick(self, time: dt.time) -> None:
+    def _tick(self, of_day: int) -> None:
         """The clock of a sentence; a fall of over half a day is a midnight."""
-        seconds = time.hour * 3600 + time.minute * 60 + time.second
-        of_day = seconds * SECOND + time.microsecond * 1000
         clock = of_day + self.nights * DAY
         if clock < self.clock - HALF_A_DAY:
             self.nights += 1
             clock += DAY
         elif clock > self.clock + HALF_A_DAY and self.clock >= 0 and self.nights:
             clock -= DAY  # of yesterday, after the first of today
-        if clock != self.clock or not self.told:
-            self.seen.clear()
-        self.clock, self.told = clock, True
+        self.clock = clock
 
-    def _dated(self, date: dt.date) -> None:
-        self.dates.append((self.clock, (date - dt.date(1970, 1, 1)).days * DAY))
+    def _dated(self, date: dt.date | str) -> None:
+        if isinstance(date, dt.date):
+            self.dates.append((self.clock, (date - dt.date(1970, 1, 1)).days * DAY))
 
-    def _fix(self, kind: str, message: Any) -> None:
-        if kind == "GGA":
-            good = int(message.quality) > 0
-        elif kind == "GNS":
-            good = any(letter != "N" for letter in str(message.posMode))
+    def _counts(self, kind: str, quantity: str) -> bool:
+        """Whether no better teller of a quantity was heard before."""
+        names, heard = TELLERS[quantity], self.tellers[quantity]
+        heard.add(kind)
+        return not heard.intersection(names[: names.index(kind)])
+
+    def _fix(self, s: _Sentence) -> None:
+        if s.kind == "GGA":
+            good = int(s.text("quality")) > 0
+        elif s.kind == "GNS":
+            good = any(letter != "N" for letter in s.text("posMode"))
         else:
-            good = message.status == "A"
-        lat, lon = (_number(message.lat), _number(message.lon)) if good else (math.nan, math.nan)
-        height = math.nan
-        if good and kind in ("GGA", "GNS"):
-            height = _number(message.alt) + (0.0 if math.isnan(s := _number(message.sep)) else s)
-        self.gatherer.rows_of(kind, "fix").add(self.clock, lat, lon, height)
-        if kind == "RMC":
-            self._velocity("RMC", message.spd, message.cog, good)
+            good = s.text("status") == "A"
+        if self._counts(s.kind, "fix"):
+            lat, lon, height = (math.nan,) * 3
+            if good:
+                lat, lon = s.degrees("lat", "NS", "S"), s.degrees("lon", "EW", "W")
+            if good and s.kind in ("GGA", "GNS"):
+                sep = s.number("sep")
+                height = s.number("alt") + (0.0 if math.isnan(sep) else sep)
+            self.gatherer.rows_of(s.kind, "fix").add(self.clock, lat, lon, height)
+        if s.kind == "RMC" and self._counts("RMC", "velocity"):
+            north, east = _velocity(s, "spd", "cog") if good else (math.nan,) * 2
+            self.gatherer.rows_of("RMC", "velocity").add(self.clock, north, east)
 
-    def _untimed(self, kind: str, message: Any) -> None:
-        if not self.told or kind in self.seen:  # of several after one time only the first has it
-            self.gone += 1
+    def _untimed(self, s: _Sentence) -> None:
+        quantity = "velocity" if s.kind == "VTG" else "attitude"
+        if not self._counts(s.kind, quantity):
             return
-        self.seen.add(kind)
-        if kind == "VTG":
-            self._velocity("VTG", message.sogn, message.cogt, True)
+        if s.kind == "VTG":
+            values = _velocity(s, "sogn", "cogt")
         else:
-            told = message.headingT if kind == "HDT" else message.headt
-            good = kind == "HDT" or message.mi == "A"
-            heading = math.radians(_number(told)) if good else math.nan
-            self.gatherer.rows_of(kind, "attitude").add(self.clock, math.nan, math.nan, heading)
-
-    def _velocity(self, kind: str, speed: Any, course: Any, good: bool) -> None:
-        v, c = (_number(speed) * KNOT, math.radians(_number(course))) if good else (math.nan,) * 2
-        self.gatherer.rows_of(kind, "velocity").add(self.clock, v * math.cos(c), v * math.sin(c))
+            good = s.kind == "HDT" or s.text("mi") == "A"
+            told = s.number("headingT" if s.kind == "HDT" else "headt")
+            values = math.nan, math.nan, math.radians(told) if good else math.nan
+        if self.epochs.untimed(s.kind):
+            self.gatherer.rows_of(s.kind, quantity).add(self.clock, *values)
 
     def settle(self) -> None:
         """Put dates to clocks and accuracies to fixes, and keep one sentence of several alike."""
@@ -152,15 +203,29 @@ class _Log:
         g = self.gatherer
         if self.bad + self.cut:
             g.doubts.append(f"{self.bad + self.cut} of {self.count + self.cut} sentences are damaged: left out")  # fmt: skip
-        if self.gone:
-            g.said.append(f"{self.gone} sentences are left out, of which no time is known")
-        for kind, names in (("fix", FIXES), ("velocity", ("RMC", "VTG")), ("attitude", ("HDT", "THS"))):  # fmt: skip
-            there = [name for name in names if (name, kind) in g.rows]
-            for name in there[1:]:
-                del g.rows[name, kind]
-                g.said.append(f"{name} left out: {there[0]} tells the {kind} as well")
+        self._keep_tellers()
+        self._keep_sure()
         self._put_dates()
         self._put_accuracies()
+
+    def _keep_tellers(self) -> None:
+        g = self.gatherer
+        for quantity, names in TELLERS.items():
+            there = [name for name in names if name in self.tellers[quantity]]
+            for name in there[1:]:
+                g.rows.pop((name, quantity), None)
+                g.said.append(f"{name} left out: {there[0]} tells the {quantity} as well")
+
+    def _keep_sure(self) -> None:
+        """Leave out rows of sentences without a time that may be of another moment."""
+        gone = 0
+        for (name, _), rows in self.gatherer.rows.items():
+            if name in UNTIMED:
+                sure = self.epochs.sure(name)
+                gone += self.epochs.homeless[name] + int((~sure).sum())
+                rows.keep(sure)
+        if gone:
+            self.gatherer.said.append(f"{gone} sentences are left out, of which no time is known")
 
     def _put_dates(self) -> None:
         starts = {day - clock // DAY * DAY for clock, day in self.dates}
@@ -170,11 +235,15 @@ class _Log:
                 f"dates and clocks do not agree (the first day is {low} or {high}): a clock was set, "
                 "or another voyage begins within the file"
             )
-        for rows in self.gatherer.rows.values() if starts else ():
-            for k in range(len(rows.time)):
-                rows.time[k] += min(starts)
-        if starts:
-            self.accuracy = {clock + min(starts): sigma for clock, sigma in self.accuracy.items()}
+        if not starts:
+            self.gatherer.said.append(
+                "no sentence tells a date: times are seconds of the day, from the first midnight"
+            )
+            return
+        start = min(starts)
+        for rows in self.gatherer.rows.values():
+            np.frombuffer(rows.time, np.int64)[:] += start
+        self.accuracy = {clock + start: sigma for clock, sigma in self.accuracy.items()}
 
     def _put_accuracies(self) -> None:
         for (_, kind), rows in self.gatherer.rows.items():
@@ -185,6 +254,7 @@ class _Log:
                         rows.values[k * width + 3 + j] = sigma
 
 
-def _number(value: Any) -> float:
-    """A field as a number, NaN where it is empty."""
-    return math.nan if value in ("", None) else float(value)
+def _velocity(s: _Sentence, speed: str, course: str) -> tuple[float, float]:
+    """North and east, m/s, of a speed in knots and a course."""
+    v, c = s.number(speed) * KNOT, math.radians(s.number(course))
+    return v * math.cos(c), v * math.sin(c)

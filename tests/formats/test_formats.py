@@ -20,7 +20,7 @@ from tests.formats.writers import GRAVITY, WRITERS, Voyage
 VOYAGE = Voyage()
 # by log: what its digits can hold, m and m/s; the rest is the library's business
 FINE = {
-    "nmea": (1e-3, 1e-5), "mcap": (1e-6, 1e-6), "sqlite3": (1e-6, 1e-6), "ros1": (1e-6, 1e-6),
+    "nmea": (1e-3, 1e-5), "nmea_vtg": (1e-3, 1e-5), "mcap": (1e-6, 1e-6), "sqlite3": (1e-6, 1e-6), "ros1": (1e-6, 1e-6),
     "ulog": (1e-6, 1e-6), "ardupilot": (0.02, 1e-5), "tlog": (0.02, 1e-3), "sbet": (1e-6, 1e-6),
     "pd0": (None, 2e-3), "mcap_crc": (None, 1e-9),
 }  # fmt: skip
@@ -157,7 +157,52 @@ class TestNMEA:
         )
         h = VOYAGE.heading
         arm = np.column_stack([3 * np.cos(h) - np.sin(h), 3 * np.sin(h) + np.cos(h)])
-        assert np.allclose((plain.measurements - moved.measurements)[:, [0, 2]], arm, atol=1e-4)
+        found = (plain.measurements - moved.measurements)[:, [0, 2]]
+        assert np.allclose(found[:-1], arm[:-1], atol=1e-4)
+        assert moved.lost[-1, 0]  # whose heading may be of a moment that the file has lost
+
+    def test_a_sentence_without_a_time_counts_only_where_nothing_can_be_missing(self, tmp_path):
+        path = writers.nmea(tmp_path / "x.nmea", course="VTG")
+        lines = path.read_bytes().splitlines(keepends=True)  # GGA, GST, VTG, HDT of each moment
+        heading = channel(path, "attitude")["heading"]
+        of_two = channel(path, "attitude").time[1:3]
+
+        def headings(lines):
+            path.write_bytes(b"".join(lines))
+            found = channel(path, "attitude")
+            return dict(zip(found.time.tolist(), found["heading"].tolist(), strict=True))
+
+        kept = headings(lines)
+        assert list(kept.values()) == heading.tolist()
+        assert len(kept) == VOYAGE.count - 1
+        for gone in (
+            [7, 8, 9, 10],  # the heading of moment 1, and what tells the time of moment 2
+            [5, 7, 8, 9, 10],
+            [8, 9],  # a second heading follows within moment 1
+        ):
+            left = [line for k, line in enumerate(lines) if k not in gone]
+            found = headings(left)
+            assert all(kept.get(stamp) == told for stamp, told in found.items())
+            assert len(kept) - 3 <= len(found) < len(kept)
+        twice = headings(lines[:10] + lines[7:10] + lines[10:])  # moment 2 follows itself
+        assert of_two[1] not in twice
+
+    def test_a_file_without_dates_says_that_it_counts_from_midnight(self, tmp_path):
+        dated = navgym.read("log", writers.nmea(tmp_path / "a.nmea"))
+        dateless = navgym.read("log", writers.nmea(tmp_path / "b.nmea", course="VTG"))
+        said = ["no sentence tells a date" in log.meta["reading"] for log in (dated, dateless)]
+        assert said == [False, True]
+
+    def test_other_sentences_between_do_no_harm(self, tmp_path):
+        path = writers.nmea(tmp_path / "x.nmea", course="VTG")
+        before = channel(path, "velocity")
+        lines = path.read_bytes().splitlines(keepends=True)
+        path.write_bytes(
+            b"".join(b"!AIVDM,1,1,,A,1,0*26\r\n$GPGSV,1,1,00*79\r\n" + x for x in lines)
+        )
+        after = channel(path, "velocity")
+        assert np.array_equal(before.time, after.time)
+        assert np.array_equal(before.values, after.values)
 
     def test_a_wrong_checksum_is_left_out_and_counted(self, logs, tmp_path):
         lines = logs["nmea"].read_bytes().split(b"\r\n")

@@ -2,7 +2,7 @@
 
 import datetime as dt
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -449,9 +449,10 @@ def pd0(path, voyage=Voyage(), axes=3):
 
 WRITERS = {
     "nmea": (nmea, "boat.nmea"),
-    "mcap": (lambda p: bag(p, without=("/log/twist",)), "mcap"),
-    "sqlite3": (lambda p: bag(p, kind="sqlite3", without=("/log/twist",)), "sqlite3"),
-    "ros1": (lambda p: bag(p, kind="ros1", without=("/log/twist",)), "one.bag"),
+    "nmea_vtg": (partial(nmea, course="VTG"), "dateless.nmea"),
+    "mcap": (partial(bag, without=("/log/twist",)), "mcap"),
+    "sqlite3": (partial(bag, kind="sqlite3", without=("/log/twist",)), "sqlite3"),
+    "ros1": (partial(bag, kind="ros1", without=("/log/twist",)), "one.bag"),
     "mcap_crc": (mcap_crc, "speed.mcap"),
     "ulog": (ulog, "flight.ulg"),
     "ardupilot": (dataflash, "flight.bin"),
