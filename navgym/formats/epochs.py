@@ -1,9 +1,10 @@
 """Which moment sentences belong to that tell no time of their own.
 
 An epoch is the run of sentences from one time to the next. A sentence without a time is of the epoch
-that it stands in only if nothing between can be missing: of its kind the first there, the sentences
-with a time before and after it the usual ones, the next epoch no further off than usual. All else,
-and what follows the last time of a file, may be of a moment whose own sentences were lost.
+that it stands in only if nothing between can be missing: of its kind the first there; what stands
+before and after it, sentences with a time, repeated ones without and damaged lines, is the usual; the
+next epoch is no further off than usual. All else, and what follows the last time of a file, may be
+of a moment whose own sentences were lost.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from numpy.typing import NDArray
 
 LONGEST = 50  # sentences of an epoch that are told apart
 FURTHEST = 1.5  # usual steps
+FEWEST = 3  # epochs that make something usual
+UNREADABLE = "?"  # stands for a damaged line, and before a kind for the second of it in an epoch
 REGULAR = 0.5  # share of epochs from which a sentence is usual: some come every tenth time
 
 
@@ -45,10 +48,16 @@ class Epochs:
         """Whether a sentence without a time may be of the epoch that it stands in."""
         if not self.clocks or kind in self.shape or len(self.shape) == LONGEST:
             self.homeless[kind] += 1
+            if UNREADABLE + kind not in self.shape:
+                self._stands(UNREADABLE + kind)
             return False
         self._stands(kind)
         self.members[kind].append(len(self.clocks) - 1)
         return True
+
+    def unreadable(self) -> None:
+        """A line that may have been any sentence."""
+        self._stands(UNREADABLE)
 
     def sure(self, kind: str) -> NDArray[np.bool_]:
         """For each sentence of a kind that `untimed` took, whether it is of its epoch.
@@ -59,17 +68,18 @@ class Epochs:
         epochs = np.frombuffer(self.members[kind], np.int64) if self.members[kind] else np.zeros(0, np.int64)  # fmt: skip
         clocks = np.array(self.clocks, np.int64)
         step = np.append(np.diff(clocks), -1)[epochs]  # none after the last
-        usual = self._usual([self.shapes[e] for e in epochs], kind) & (step > 0)
-        far = FURTHEST * np.median(step[usual]) if usual.any() else 0.0
-        sure: NDArray[np.bool_] = usual & (step <= far)
-        return sure
+        usual: NDArray[np.bool_] = self._usual([self.shapes[e] for e in epochs], kind) & (step > 0)
+        if usual.sum() < FEWEST:
+            return np.zeros(len(epochs), bool)
+        return usual & (step <= FURTHEST * np.median(step[usual]))
 
     def _usual(self, shapes: list[tuple[str, ...]], kind: str) -> NDArray[np.bool_]:
         """Which epochs have the most common sentences before and after one of a kind."""
         counts, within = Counter(shapes), Counter[str]()
         for shape, n in counts.items():
             within.update(dict.fromkeys(set(shape) - set(self.members), n))
-        regular = {name for name, n in within.items() if n > REGULAR * len(shapes)}
+        often = REGULAR * len(shapes)
+        regular = {name for name, n in within.items() if n > often or name.startswith(UNREADABLE)}
         place = {s: _around(s, kind, regular) for s in counts}
         votes = Counter[tuple[tuple[str, ...], tuple[str, ...]]]()
         for shape, n in counts.items():

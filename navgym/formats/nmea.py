@@ -26,6 +26,8 @@ from navgym.formats.epochs import Epochs
 
 BEGUN = re.compile(rb"[$][A-Z]{2}(GGA|GNS|RMC|GLL|VTG|GST|HDT|THS|ZDA),")
 SENTENCE = re.compile(BEGUN.pattern + rb"[^*$]*\*[0-9A-Fa-f]{2}(?=\s|\Z)")
+OTHER = re.compile(rb"[^$*!]*[$!][0-9A-Z]{3,},[^*$]*\*[0-9A-Fa-f]{2}\s*")  # of no use here
+UNREADABLE = re.compile(rb"[$*]|[^\s -~]")  # beside a sentence there may be a logger's own words
 LONGEST = 1000  # bytes of a line
 HALF_A_DAY, DAY = 43_200 * SECOND, 86_400 * SECOND  # ns
 KNOT = SIZES["speed"]["kn"]  # m/s
@@ -89,6 +91,7 @@ def read(path: Path, gatherer: Gatherer) -> None:
             log.take(_Sentence(raw))
         except (NMEAMessageError, ValueError, IndexError):
             log.bad += 1
+            log.epochs.unreadable()
     log.settle()
 
 
@@ -102,10 +105,13 @@ def _sentences(path: Path, log: _Log) -> Iterator[bytes]:
                 log.gatherer.progress.at(min(done / size, 1.0))
             found = SENTENCE.search(line)
             log.count += found is not None
+            if found is None:
+                log.cut += BEGUN.search(line) is not None
+            rest = line if found is None else line[: found.start()] + line[found.end() :]
+            if UNREADABLE.search(rest) and not OTHER.fullmatch(rest):
+                log.epochs.unreadable()
             if found is not None:
                 yield found[0]
-            else:
-                log.cut += BEGUN.search(line) is not None
 
 
 class _Log:
