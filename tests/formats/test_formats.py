@@ -190,7 +190,9 @@ class TestNMEA:
     def test_a_file_without_dates_says_that_it_counts_from_midnight(self, tmp_path):
         dated = navgym.read("log", writers.nmea(tmp_path / "a.nmea"))
         dateless = navgym.read("log", writers.nmea(tmp_path / "b.nmea", course="VTG"))
-        said = ["no sentence tells a date" in " ".join(log.meta["reading"]) for log in (dated, dateless)]
+        said = [
+            "no sentence tells a date" in " ".join(log.meta["reading"]) for log in (dated, dateless)
+        ]
         assert said == [False, True]
 
     def test_other_sentences_between_do_no_harm(self, tmp_path):
