@@ -37,7 +37,7 @@ def read(path: Path, gatherer: Gatherer) -> None:
     """Every channel of a log whose message is known."""
     said = io.StringIO()  # it prints its doubts
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-        log = DFReader_binary(str(path))
+        log = _Log(str(path))
     try:
         unread = log.data_len - sum(
             count * log.formats[kind].len for kind, count in enumerate(log.counts) if count
@@ -53,6 +53,14 @@ def read(path: Path, gatherer: Gatherer) -> None:
         gatherer.doubts.append(f"{unread} bytes are in no message that is known: left out")
     elif unread:
         gatherer.said.append(f"{unread} bytes, as at the end of a log, are left out")
+
+
+class _Log(DFReader_binary):  # type: ignore[misc]
+    """The library's reader by its index in Python: the compiled one prints past Python's streams."""
+
+    def init_arrays_fast(self, progress_callback: Any = None) -> None:
+        """Find the messages."""
+        self.init_arrays(progress_callback)
 
 
 def _instances(log: Any, name: str) -> list[tuple[int, Stamps, Columns]]:
