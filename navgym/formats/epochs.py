@@ -71,7 +71,8 @@ class Epochs:
         usual: NDArray[np.bool_] = self._usual([self.shapes[e] for e in epochs], kind) & (step > 0)
         if usual.sum() < FEWEST:
             return np.zeros(len(epochs), bool)
-        return usual & (step <= FURTHEST * np.median(step[usual]))
+        sure: NDArray[np.bool_] = usual & (step <= FURTHEST * np.median(step[usual]))
+        return sure
 
     def _usual(self, shapes: list[tuple[str, ...]], kind: str) -> NDArray[np.bool_]:
         """Which epochs have the most common sentences before and after one of a kind."""

@@ -190,6 +190,7 @@ class _Log:
         quantity = "velocity" if s.kind == "VTG" else "attitude"
         if not self._counts(s.kind, quantity):
             return
+        values: tuple[float, ...]
         if s.kind == "VTG":
             values = _velocity(s, "sogn", "cogt")
         else:

@@ -200,7 +200,7 @@ def _pose(g: _Bag, topic: str, stamp: int, m: Any) -> None:
 
 def _dvl(g: _Bag, topic: str, stamp: int, m: Any) -> None:
     """Of any package: `velocity`, and what there is of validity and covariance."""
-    covariance = next((getattr(m, n) for n in ("covariance", "velocity_covar", "velocity_covariance") if hasattr(m, n)), ())  # fmt: skip
+    covariance: Any = next((getattr(m, n) for n in ("covariance", "velocity_covar", "velocity_covariance") if hasattr(m, n)), ())  # fmt: skip
     good = bool(getattr(m, "velocity_valid", True))
     good = good and not (len(covariance) and covariance[0] < 0.0)  # -1: not valid
     rows = g.rows_of(topic, "body_velocity")
