@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from navgym.core.checks import Array
@@ -38,7 +39,7 @@ def angles(quaternion: Array, enu: bool, flu: bool) -> Array:
     return np.where(good[:, None], found, np.nan)
 
 
-def attitude_at(attitude: Channel, time: Array) -> tuple[Rotation, Array]:
+def attitude_at(attitude: Channel, time: NDArray[np.int64]) -> tuple[Rotation, Array]:
     """Rotations from body to world at stamps, and where they are known, (T,).
 
     Between two attitudes further apart than `GAPS` usual steps nothing is known. Roll and pitch that
