@@ -42,7 +42,9 @@ def formats() -> dict[str, str]:
 
 
 @overload
-def read(format_name: Literal["akit", "csv"], path: _Name, /, **options: Any) -> Recording: ...
+def read(
+    format_name: Literal["akit", "csv", "log"], path: _Name, /, **options: Any
+) -> Recording: ...
 @overload
 def read(
     format_name: Literal["deck_csv", "repoimu", "multi_imu"], path: _Name, /, **options: Any
@@ -58,6 +60,7 @@ def read(
     format          holds                                options: see
     ==============  ===================================  =====================================
     "csv"           your own log of positions            `navgym.auv.csv_log.read_csv`
+    "log"           positions in a bag, ULog, NMEA, ...  `navgym.auv.device_log.read_log`
     "akit"          A-KIT: an AUV, six tracks            `navgym.auv.akit.read_akit`
     "deck_csv"      your own log of two IMUs on a deck   `navgym.deck.csv_log.read_deck_csv`
     "repoimu"       RepoIMU: a pendulum's segments       `navgym.deck.public_logs.read_repoimu`
@@ -66,7 +69,7 @@ def read(
     "NAME.toml"     your own log, as this file says      see `navgym.mapping`
     ==============  ===================================  =====================================
 
-    The first two give a `navgym.Recording`, the next three a `navgym.deck.recording.DualIMURecording`.
+    The first three give a `navgym.Recording`, the next three a `navgym.deck.recording.DualIMURecording`.
 
     Args:
         format_name: which, or the path of a mapping file.
@@ -299,6 +302,6 @@ def _spelt(text: str, reader: Callable[..., Any]) -> str:
     """How options that a reader's error names are given as words."""
     known = options_of(reader)
     named = [name for name in dict.fromkeys(re.findall(r"\b(\w+)=", text)) if name in known]
-    how = {"columns": "columns.NAME COLUMN"}
+    how = {"columns": "columns.NAME COLUMN", "topics": "topics.ROLE NAME"}
     words = [how.get(name, f"{name} VALUE") for name in named]
     return f" On a command line: --read {' '.join(words)}." if words else ""

@@ -17,7 +17,7 @@ PROBLEMS = {"auv", "deck", "ins"}
 ABOVE = {"agents", "tuning"}
 # everything that knows no problem: rooms, and the files in navgym/ itself
 GENERAL = {
-    "core", "envs", "identification", "inertial", "inspection", "metrics", "statespace",
+    "core", "envs", "formats", "identification", "inertial", "inspection", "metrics", "statespace",
     "", "command", "estimation", "exports", "inspect_command", "mapping", "plotting", "plugins", "problem", "read_command", "readers", "samples", "simulation", "tuned", "warm",
 }  # fmt: skip
 EXCEPTIONS = {

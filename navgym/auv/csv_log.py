@@ -16,7 +16,7 @@ from navgym.auv.log import STATES, Log, component_names
 from navgym.auv.rows import merged, order
 from navgym.core.checks import Array, one_of, real_array, within
 from navgym.core.notes import Notes, Progress
-from navgym.core.tables import read_table, write_table
+from navgym.core.tables import Table, read_table, write_table
 from navgym.core.text import LARGEST
 from navgym.statespace.models import LinearModel, step_of
 from navgym.statespace.recording import Model, Recording
@@ -110,6 +110,43 @@ def read_csv(
             a clock that was set back, unknown units, two columns that could be meant, missing
             columns, a file that is empty or not text, a log without any received measurement.
     """
+    with Progress(f"reading {Path(path).name}") as progress:
+        table = read_table(path, delimiter, decimal=decimal, encoding=encoding, largest=largest)
+        progress.at(0.3)
+        return recording_of(
+            table, progress, model=model, columns=columns, units=units, missing=missing,
+            extra=extra, time_scale=time_scale, sort=sort, held=held, origin=origin,
+            lever_arm=lever_arm, latency=latency, accuracy_floor=accuracy_floor,
+            position_noise=position_noise, velocity_noise=velocity_noise, acceleration=acceleration,
+        )  # fmt: skip
+
+
+def recording_of(
+    table: Table,
+    progress: Progress,
+    *,
+    model: Model | None = None,
+    columns: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    missing: Sequence[str | float] = (),
+    extra: str = "say",
+    time_scale: float | None = None,
+    sort: bool | None = None,
+    held: str = "auto",
+    origin: Sequence[float] | None = None,
+    lever_arm: Sequence[float] | None = None,
+    latency: Mapping[str, float] | None = None,
+    accuracy_floor: float = 0.0,
+    position_noise: float = 1.0,
+    velocity_noise: float = 0.1,
+    acceleration: float = 0.1,
+    meta: Mapping[str, Any] | None = None,
+) -> Recording:
+    """A recording from columns of cells, wherever these come from; options and errors of `read_csv`.
+
+    What the table's `said` holds comes first among the recording's sentences; `progress` is told
+    how far the work is; `meta` is kept beside what was read.
+    """
     positive = {
         "position_noise": position_noise, "velocity_noise": velocity_noise,
         "acceleration": acceleration, "time_scale": 1.0 if time_scale is None else time_scale,
@@ -121,35 +158,33 @@ def read_csv(
     one_of("held", held, HELD)
     _check_kinds(model, missing, columns=columns, units=units, latency=latency)
     arm, plane = _arm(lever_arm), None if origin is None else checked_origin(origin)
-    with Progress(f"reading {Path(path).name}") as progress:
-        table = read_table(path, delimiter, decimal=decimal, encoding=encoding, largest=largest)
-        notes = Notes(table.path.name)
-        for sentence in table.said:
-            notes.say(sentence)
-        progress.at(0.3)
-        log = Log.of(table, model, columns or {}, units or {}, missing, extra, notes)
-        y, plane = log.measurements(held, arm, plane)
-        if np.isnan(y).all():
-            raise ValueError(f"{notes.file}: every measurement is lost, nothing can be estimated.")
-        progress.at(0.6)
-        time, start = log.times(time_scale, y)
-        rows = log.rows(time, y, accuracy_floor, plane)
-        rows = log.delayed(rows.take(order(rows.time, rows.lines, sort, notes)), latency or {})
-        rows = merged(rows, notes)
-        progress.at(0.9)
-        if model is None:
-            sigmas = np.array([position_noise, velocity_noise] * 2)
-            model = default_model(rows.time, rows.y, log.measured, sigmas, acceleration)
-        model = log.noisy(model, rows)
-        where = {"start": start, "origin": None if plane is None else list(plane)}
-        return Recording(
-            time=rows.time,
-            measurements=rows.y,
-            truth=log.truth(rows),
-            model=model,
-            meta=log.meta() | {name: value for name, value in where.items() if value is not None},
-            **rows.labels,
-        )
+    notes = Notes(table.path.name)
+    for sentence in table.said:
+        notes.say(sentence)
+    log = Log.of(table, model, columns or {}, units or {}, missing, extra, notes)
+    y, plane = log.measurements(held, arm, plane)
+    if np.isnan(y).all():
+        raise ValueError(f"{notes.file}: every measurement is lost, nothing can be estimated.")
+    progress.at(0.6)
+    time, start = log.times(time_scale, y)
+    rows = log.rows(time, y, accuracy_floor, plane)
+    rows = log.delayed(rows.take(order(rows.time, rows.lines, sort, notes)), latency or {})
+    rows = merged(rows, notes)
+    progress.at(0.9)
+    if model is None:
+        sigmas = np.array([position_noise, velocity_noise] * 2)
+        model = default_model(rows.time, rows.y, log.measured, sigmas, acceleration)
+    model = log.noisy(model, rows)
+    where = {"start": start, "origin": None if plane is None else list(plane)}
+    where = {name: value for name, value in where.items() if value is not None}
+    return Recording(
+        time=rows.time,
+        measurements=rows.y,
+        truth=log.truth(rows),
+        model=model,
+        meta=log.meta() | where | dict(meta or {}),
+        **rows.labels,
+    )
 
 
 def write_csv(recording: Recording, path: str | os.PathLike[str]) -> Path:

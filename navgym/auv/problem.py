@@ -11,6 +11,7 @@ from navgym.auv.conditions import AUVRanges, draw
 from navgym.auv.scenarios import CATALOGUE as SCENARIOS
 from navgym.auv.scenarios import SHIFTS, AUVScenario
 from navgym.auv.settings import AUVDropoutSettings
+from navgym.formats.kinds import MARK as DEVICE_LOG
 from navgym.metrics.measures import CLIP, Measure, Quantity, by_name
 from navgym.problem import (
     Amount,
@@ -218,10 +219,14 @@ PROBLEM = Problem(
     scenarios=SCENARIOS,
     simulate=lazy("navgym.auv.simulation:simulate"),
     brief={"steps": 10},
-    readers={"akit": "navgym.auv.akit:read_akit", "csv": "navgym.auv.csv_log:read_csv"},
+    readers={
+        "akit": "navgym.auv.akit:read_akit",
+        "csv": "navgym.auv.csv_log:read_csv",
+        "log": "navgym.auv.device_log:read_log",
+    },
     told=lazy("navgym.auv.told:told"),
     evidence=lazy("navgym.auv.inspection:evidence"),
-    marks={"akit": r"\bGT_trajectory\d+\.csv"},
+    marks={"akit": r"\bGT_trajectory\d+\.csv", "log": DEVICE_LOG},
     filters=CATALOGUE,
     stack=StateSpaceBatch.of,
     runner=lazy("navgym.statespace.run:run"),

@@ -82,6 +82,19 @@ class Cells(Sequence[str]):
         starts = ends - np.array([len(word) for word in spelled], dtype=np.int64)
         return cls(np.frombuffer(b"".join(spelled) + PAD, np.uint8), starts, ends)
 
+    @classmethod
+    def of_numbers(cls, values: NDArray[Any]) -> Cells:
+        """Cells from numbers (T,), spelled so that they read back as the same; NaN is an empty one."""
+        spelled, widths = [], [np.zeros(0, np.int64)]
+        for first in range(0, len(values), ROWS):
+            words = map(repr, values[first : first + ROWS].tolist())
+            part = [b"" if word == "nan" else word.encode() for word in words]
+            spelled.append(b"".join(part))
+            widths.append(np.fromiter(map(len, part), np.int64, len(part)))
+        sizes = np.concatenate(widths)
+        ends = np.cumsum(sizes)
+        return cls(np.frombuffer(b"".join(spelled) + PAD, np.uint8), ends - sizes, ends)
+
 
 @dataclass(frozen=True, eq=False)
 class Table:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import codecs
+import gzip
 import zlib
 from pathlib import Path
+from typing import BinaryIO, cast
 
 from navgym.core.checks import within
 
@@ -48,6 +50,13 @@ def read_text(
         )
     _refuse_long_lines(source, text)
     return text, said
+
+
+def opened(source: Path) -> BinaryIO:
+    """A file for reading bytes, unpacked on the way if gzip packed it."""
+    with source.open("rb") as file:
+        packed = file.read(2) == b"\x1f\x8b"
+    return cast(BinaryIO, gzip.open(source)) if packed else source.open("rb")
 
 
 def _content(source: Path, largest: int) -> tuple[bytes, list[str]]:

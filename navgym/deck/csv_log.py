@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from navgym.core.checks import Array, one_of, real_array, shaped, within
 from navgym.core.notes import Notes
-from navgym.core.tables import read_table, write_table
+from navgym.core.tables import Table, read_table, write_table
 from navgym.core.text import LARGEST
 from navgym.core.typed import typed
 from navgym.deck.log_columns import GYRO_UNITS, MOST, QUATERNION, Columns, names_of
@@ -115,11 +115,43 @@ def read_deck_csv(
         ValueError: no lever arm; naming line and column, for text, infinity, gaps and duplicates in
             time, a gap in a reference; unknown or missing columns; units that cannot be.
     """
+    table = read_table(path, delimiter, decimal=decimal, encoding=encoding, largest=largest)
+    return recording_of(
+        table, gyro_unit=gyro_unit, units=units, lever_arm=lever_arm,
+        samples_per_step=samples_per_step, model=model, deviation1=deviation1,
+        deviation2=deviation2, reference=reference, regular=regular, longest_gap=longest_gap,
+        gyro_limit=gyro_limit, force_limit=force_limit, columns=columns, missing=missing,
+        time_scale=time_scale, extra=extra, check_units=check_units,
+    )  # fmt: skip
+
+
+def recording_of(
+    table: Table,
+    *,
+    gyro_unit: str = "deg/h",
+    units: Mapping[str, str] | None = None,
+    lever_arm: ArrayLike | None = None,
+    samples_per_step: int | None = None,
+    model: Mapping[str, Any] | DeckModel | None = None,
+    deviation1: Sequence[float] = (0.0, 0.0, 0.0),
+    deviation2: Sequence[float] = (0.0, 0.0, 0.0),
+    reference: bool = True,
+    regular: bool = False,
+    longest_gap: float | None = None,
+    gyro_limit: float | None = None,
+    force_limit: float | None = None,
+    columns: Mapping[str, str] | None = None,
+    missing: Sequence[str | float] = (),
+    time_scale: float | None = None,
+    extra: str = "say",
+    check_units: bool = True,
+    meta: Mapping[str, Any] | None = None,
+) -> DualIMURecording:
+    """A recording from columns of cells, wherever these come from; options and errors of `read_deck_csv`."""
     one_of("gyro_unit", gyro_unit, GYRO_UNITS)
     one_of("extra", extra, ("say", "raise", "ignore"))
     within("time_scale", 1.0 if time_scale is None else time_scale, 0.0, above=True)
     _check_kinds(model, missing, columns=columns, units=units)
-    table = read_table(path, delimiter, decimal=decimal, encoding=encoding, largest=largest)
     notes = Notes(table.path.name)
     for sentence in table.said:
         notes.say(sentence)
@@ -132,12 +164,12 @@ def read_deck_csv(
     believed = replace(_believed(model, told, log.grid), lever_arm=lever)
     sides = (_installed("deviation1", deviation1), _installed("deviation2", deviation2))
     _say(notes, model, told, believed, found)
-    meta: dict[str, Any] = {
+    kept: dict[str, Any] = {
         "format": "deck_csv",
         "file": table.path.name,
         "reading": notes.sentences,
     }
-    meta["columns"] = {quantity: column.name for quantity, column in found.found.items()}
+    kept["columns"] = {quantity: column.name for quantity, column in found.found.items()}
     return DualIMURecording.from_rates(
         log.grid,
         *(*log.imu("main", True), *log.imu("sub", True)),
@@ -146,7 +178,10 @@ def read_deck_csv(
         model=believed,
         attitude=log.reference(believed.lever_arm, sides) if reference else None,
         check_units=check_units,
-        meta=meta | found.fix() | ({} if times.start is None else {"start": times.start}),
+        meta=kept
+        | found.fix()
+        | ({} if times.start is None else {"start": times.start})
+        | dict(meta or {}),
     )
 
 

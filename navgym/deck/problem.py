@@ -201,6 +201,7 @@ PROBLEM = Problem(
     brief={"duration": 4.0},
     readers={
         "deck_csv": "navgym.deck.csv_log:read_deck_csv",
+        "deck_log": "navgym.deck.device_log:read_deck_log",
         "multi_imu": "navgym.deck.public_logs:read_multi_imu",
         "repoimu": "navgym.deck.public_logs:read_repoimu",
     },

@@ -88,22 +88,46 @@ def read_ins_csv(
         ValueError: naming file, line and column, for text, infinity and times that do not increase; unknown
             sensors or axes; data whose units or axes cannot be.
     """
-    folder, said = Path(path), Notes(Path(path).name)
+    folder = Path(path)
+    if not (folder / "imu.csv").exists():
+        raise FileNotFoundError(f"{folder} holds no imu.csv: name the folder of a set of logs.")
+    there = [n for n in ("imu", *COLUMNS, "reference") if (folder / f"{n}.csv").exists()]
+    return recording_of(
+        {name: read_table(folder / f"{name}.csv") for name in there}, Notes(folder.name),
+        gyro_unit=gyro_unit, model=model, sensors=sensors, time_offsets=time_offsets, turn=turn,
+        silent_after=silent_after, check_units=check_units,
+        meta={"format": "ins_csv", "source": folder.name},
+    )  # fmt: skip
+
+
+def recording_of(
+    tables: Mapping[str, Table],
+    said: Notes,
+    *,
+    gyro_unit: str = "rad/s",
+    model: Mapping[str, Any] | InsModel | None = None,
+    sensors: Mapping[str, Mapping[str, Any]] | None = None,
+    time_offsets: Mapping[str, float] | None = None,
+    turn: Mapping[str, str] | None = None,
+    silent_after: float = 1.5,
+    check_units: bool = True,
+    meta: Mapping[str, Any] | None = None,
+) -> InertialRecording:
+    """A recording from tables by sensor, wherever these come from; options and errors of `read_ins_csv`."""
     factor = GYRO_UNITS[one_of("gyro_unit", gyro_unit, GYRO_UNITS)]
     within("silent_after", silent_after, 1.0)
-    clock, rate, force = _imu(folder / "imu.csv", factor, dict(turn or {}), said)
+    clock, rate, force = _imu(tables["imu"], factor, dict(turn or {}), said)
     offsets, told = dict(time_offsets or {}), dict(sensors or {})
     for name in (*offsets, *told):
         one_of("sensor", name, (*COLUMNS, "reference"))
-    tables = {n: read_table(folder / f"{n}.csv") for n in COLUMNS if (folder / f"{n}.csv").exists()}
-    values = {n: _numbers(t, ("time", *COLUMNS[n][0])) for n, t in tables.items()}
+    values = {n: _numbers(tables[n], ("time", *COLUMNS[n][0])) for n in COLUMNS if n in tables}
     for name, shift in offsets.items():
         if name in values:
             values[name][:, 0] -= shift
             said.say(f"{name}: {shift:g} s were taken off its times.")
     reference = None
-    if (folder / "reference.csv").exists():
-        reference = _numbers(read_table(folder / "reference.csv"), ("time", *REFERENCE))
+    if "reference" in tables:
+        reference = _numbers(tables["reference"], ("time", *REFERENCE))
         reference[:, 0] -= offsets.get("reference", 0.0)
     believed = {
         name: AidingModel(**({"kind": name, "noise": COLUMNS[name][1]} | dict(told.get(name, {}))))
@@ -115,7 +139,7 @@ def read_ins_csv(
     }
     recording = InertialRecording.from_rates(
         clock, rate, force, aiding=aiding, model=own, check_units=check_units,
-        meta={"format": "ins_csv", "source": folder.name, "reading": said.sentences},
+        meta={**(meta or {}), "reading": said.sentences},
     )  # fmt: skip
     if check_units:
         recording = _doubted(recording, said)
@@ -168,14 +192,10 @@ def _numbers(table: Table, columns: tuple[str, ...]) -> Array:
 
 
 def _imu(
-    file: Path, factor: float, turn: dict[str, str], said: Notes
+    table: Table, factor: float, turn: dict[str, str], said: Notes
 ) -> tuple[Array, Array, Array]:
     """Even times, rates and forces of the IMU; samples that are missing are NaN."""
-    if not file.exists():
-        raise FileNotFoundError(
-            f"{file.parent} holds no imu.csv: name the folder of a set of logs."
-        )
-    table = read_table(file)
+    file = table.path
     for name in turn:
         one_of("axis", name, (*GYROS, *ACCELEROMETERS))
     columns, signs = [], []

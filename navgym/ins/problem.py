@@ -191,7 +191,11 @@ PROBLEM = Problem(
     scenarios=SCENARIOS,
     simulate=lazy("navgym.ins.simulation:simulate"),
     brief={"duration": 4.0},
-    readers={"akit_ins": "navgym.ins.akit:read_akit_ins", "ins_csv": "navgym.ins.csv_set:read_ins_csv"},
+    readers={
+        "akit_ins": "navgym.ins.akit:read_akit_ins",
+        "ins_csv": "navgym.ins.csv_set:read_ins_csv",
+        "ins_log": "navgym.ins.device_log:read_ins_log",
+    },
     told=lazy("navgym.ins.told:told"),
     evidence=lazy("navgym.ins.inspection:evidence"),
     marks={"ins_csv": r"\bimu\.csv"},
