@@ -168,7 +168,10 @@ class Function:
                 found = self.call(log.what, dict(values))
         except Exception as error:
             raise Failed(type(error).__name__, " ".join(str(error).split())[:500]) from error
-        return of_anything(found, self.columns, str(log.what))
+        place = (
+            log.what if isinstance(log.what, (str, Path)) else log.name
+        )  # an array's text is long
+        return of_anything(found, self.columns, str(place))
 
 
 # ---- runs, each made once
