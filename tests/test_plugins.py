@@ -75,7 +75,7 @@ assert pickle.loads(pickle.dumps(problem_of("auv"))) is problem_of("auv")
 from navgym.tuning.report import study
 from navgym.tuning import tune
 from navgym.tuning.settings import StudySettings
-asked = StudySettings(filter="smooth_hold", scenario=("auv/mismatch",), trials=6, runs=4, select_runs=4,
+asked = StudySettings(filter="smooth_hold", scenario=("auv/mismatch",), trials=2, runs=4, select_runs=4,
                       report_runs=8, steps=100, workers=1, out=Path(sys.argv[1]))
 found = tune.run(asked)
 assert "smooth_hold, tuned" in study.summary(found)

@@ -1,27 +1,22 @@
-"""What tuning a program is worth and costs: `python -m navgym.tuning.benchmarks.programs WHAT`.
+"""What tuning a program is worth and costs: intervals that hold, parameter sets that it takes, overhead.
 
-coverage     known noises of a simulated system: in how many of 100 studies do the intervals hold them
-evaluations  parameter sets until within 1 % of the optimum, beside a coordinate search
-overhead     ms per run beside the program's own time
-kills        a study that is killed 20 times: are finished runs lost, do processes stay
+Kills are a campaign of their own: `navgym.tuning.benchmarks.kills`.
 """
 
 from __future__ import annotations
 
-import json
 import os
-import signal
 import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from navgym.core.checks import Array
+from navgym.tuning.benchmarks.timing import Row, measured
 from navgym.tuning.programs import look, study
 from navgym.tuning.programs.contract import Contract
 from navgym.tuning.programs.intervals import fitted
@@ -33,13 +28,8 @@ from navgym.tuning.study.run import Search, search
 
 TRUE = {"acceleration": 0.5, "position": 2.0}
 FAR = {"acceleration": 20.0, "position": 0.1}  # where searches start
+STUDIES = 100
 Series = tuple[Array, Array]
-
-FILTER = """BEGIN { FS = ","; q = 1; r = 1; P = 100; x = 0; print "time,innovation,variance" > out }
-FILENAME != log_ { split($0, w, " = "); if (w[1] == "walk") q = w[2]^2; if (w[1] == "meter") r = w[2]^2; next }
-FNR > 1 { if (seen) P += q * ($1 - t); S = P + r; nu = $2 - x; K = P / S; x += K * nu; P *= 1 - K; t = $1; seen = 1
-  printf "%.9g,%.12g,%.12g\\n", t, nu, S > out }
-"""
 
 
 def simulated(seed: int, steps: int = 400) -> Series:
@@ -91,7 +81,7 @@ def goal_over(seeds: range, start: Mapping[str, float] = FAR) -> ProgramGoal:
     logs = [Log.of(simulated(seed), i) for i, seed in enumerate(seeds)]
     rulers, _ = look.rulers(tool, runs, logs, contract.space.defaults, _serial)
     measure = chosen("likelihood", rulers[logs[0].digest].kinds)
-    parts = study._parts(tool, runs, logs, rulers, contract.space.defaults, measure, (0.0, 1.0), {})
+    parts = study.judged(tool, runs, logs, rulers, contract.space.defaults, measure, (0.0, 1.0), {})
     return ProgramGoal(tool, contract.space, {}, parts, measure, "mean", runs)
 
 
@@ -171,12 +161,17 @@ def study_until(goal: _Counted, seed: int, trials: int = 24) -> None:
     fitted(goal.goal, found.best.values, run)
 
 
+def started(number: int) -> dict[str, float]:
+    """A start somewhere in the ranges."""
+    draw = np.random.default_rng(100 + number)
+    return {n: float(np.exp(draw.uniform(np.log(0.02), np.log(50.0)))) for n in TRUE}
+
+
 def evaluations(repeats: int = 8) -> dict[str, Any]:
     """Parameter sets until the mean negative log-likelihood is within 1 % of the gain to the optimum."""
     rows = []
     for i in range(repeats):
-        draw = np.random.default_rng(100 + i)
-        start = {n: float(np.exp(draw.uniform(np.log(0.02), np.log(50.0)))) for n in TRUE}
+        start = started(i)
         goal = goal_over(range(900 + 2 * i, 902 + 2 * i), start)
         best = fitted(goal, TRUE, _serial)
         assert best is not None
@@ -198,6 +193,41 @@ def evaluations(repeats: int = 8) -> dict[str, Any]:
         }
         for name in ("1 % of the optimum", "1 % of the gain")
     }  # fmt: skip
+
+
+# ---- beside kalman-py, whose fit_noise learns covariances of a linear system
+
+
+def expectations(repeats: int = 8) -> tuple[list[int | None], list[int | None]] | None:
+    """Sets until within 1 % of the optimum of one log: ours, and covariances of kalman-py's EM.
+
+    A covariance of EM costs a filter and a smoother, and its Q is any (2, 2). None without the package.
+    """
+    try:
+        from kalman_py.learning import fit_noise
+    except ImportError:
+        return None
+    F = np.array([[1.0, 1.0], [0.0, 1.0]])
+    back = np.linalg.inv(F)
+    shape = np.array([[1.0 / 3.0, 0.5], [0.5, 1.0]])
+    ours, theirs = list[int | None](), list[int | None]()
+    for i in range(repeats):
+        goal, z = goal_over(range(900 + i, 901 + i), started(i)), simulated(900 + i)[1]
+        best = fitted(goal, TRUE, _serial)
+        assert best is not None
+        least = goal(best.values)
+        wanted = least + 0.01 * abs(least)
+        counted = _Counted(goal, wanted)
+        study_until(counted, i)
+        ours.append(counted.reached or None)
+        start = started(i)
+        found = fit_noise(
+            F, [[1.0, 0.0]], z[:, None], np.zeros(2), 100.0 * back @ back.T, method="em", max_iter=200,
+            Q0=start["acceleration"] ** 2 * shape, R0=[[start["position"] ** 2]],
+        )  # fmt: skip
+        good = -found.history / len(z) <= wanted
+        theirs.append(int(np.argmax(good)) + 1 if good.any() else None)
+    return ours, theirs
 
 
 # ---- overhead
@@ -243,108 +273,46 @@ def overhead(repeats: int = 100) -> dict[str, Any]:
     }
 
 
-# ---- kills
+# ---- the table
 
 
-def kills(count: int = 20) -> dict[str, Any]:
-    """A study of a program that leaves children, killed again and again at random moments."""
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        (folder / "walk.awk").write_text(FILTER)
-        (folder / "walk.toml").write_text(
-            "".join(
-                f"[parameters.{n}]\nrange = [0.01, 100.0]\ndefault = 5.0\n"
-                for n in ("walk", "meter")
-            )
-        )
-        for i in range(6):
-            t, z = simulated(i, 200)
-            (folder / f"log{i}.csv").write_text(
-                "time,z\n" + "".join(f"{a:g},{b:.9g}\n" for a, b in zip(t, z, strict=True))
-            )
-        mark = f"98{os.getpid()}"
-        program = f"sh -c 'sleep {mark} & setsid sleep {mark} & exec awk -v out=$2 -v log_=$1 -f $3 $0 $1' {{parameters}} {{log}} {{out}} walk.awk"
-        words = [
-            sys.executable, "-m", "navgym.command", "tune", "--program", program, "--parameters", "walk.toml", "--log",
-            *(f"log{i}.csv" for i in range(4)), "--trials", "16", "--workers", "1", "--out",
-        ]  # fmt: skip
-        draw, lost, left, killed = np.random.default_rng(1), 0, 0, 0
-        before: set[str] = set()
-        while killed < count:
-            process = subprocess.Popen(
-                [*words, "out"],
-                cwd=folder,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                start_new_session=True,
-            )
-            grown, until = _kept(folder), time.monotonic() + 60.0
-            while time.monotonic() < until and _kept(folder) == grown and process.poll() is None:
-                time.sleep(0.02)
-            time.sleep(float(draw.uniform(0.0, 0.6)))
-            if (
-                process.poll() is not None
-            ):  # it came to its end: the rest of the kills is of a new one
-                for path in ("out/study.log", "out/results.json"):
-                    (folder / path).unlink(missing_ok=True)
-                subprocess.run(["rm", "-rf", str(folder / "out")], check=True)
-                before = set()
-                continue
-            now = _kept(folder)
-            process.send_signal(signal.SIGKILL)
-            process.wait()
-            killed += 1
-            lost += len(before - _kept(folder)) + len(now - _kept(folder))
-            before = _kept(folder)
-            left += _left(mark, folder)
-        ends = []
-        for out in ("out", "whole"):
-            subprocess.run(
-                [*words, out],
-                cwd=folder,
-                check=True,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-            )
-            found = json.loads((folder / out / "results.json").read_text())
-            ends.append([(t["values"], t["result"]) for t in found["trials"]])
-        return {
-            "kills": killed,
-            "finished runs lost": lost,
-            "processes left after 3 s": left,
-            "same trials as a study that was not killed": ends[0] == ends[1],
-        }
+def _coverage(rounds: int) -> Row:  # noqa: ARG001 - a share needs many
+    found = coverage(STUDIES)
+    held = ", ".join(f"{n} {k}" for n, k in found["intervals that hold the truth"].items())
+    what = f"{STUDIES} studies of one log each: 95 % intervals that hold the truth"
+    return Row(what, "95 %", f"{held}, both {found['both at once']}")
 
 
-def _kept(folder: Path) -> set[str]:
-    return {str(p) for p in (folder / "out" / "runs").rglob("*.json")}
+def _sets(found: Sequence[int | None]) -> str:
+    return ", ".join("never" if each is None else str(each) for each in found)
 
 
-def _left(mark: str, folder: Path) -> int:
-    """Processes of the study or the program that are there after three seconds."""
-    until, found = time.monotonic() + 3.0, 1
-    while found and time.monotonic() < until:
-        found = 0
-        for place in Path("/proc").glob("[0-9]*"):
-            try:
-                words = (place / "cmdline").read_bytes().decode("utf-8", "replace")
-                state = (place / "stat").read_text().rsplit(")", 1)[1].split()[0]
-            except OSError:
-                continue
-            own = mark in words or str(folder) in words
-            found += own and state != "Z" and int(place.name) != os.getpid()
-        time.sleep(0.05)
-    return found
+def _evaluations(rounds: int) -> list[Row]:
+    what, found = "1 % of the optimum", evaluations(rounds)
+    rows = [
+        Row(f"parameter sets until within {what}, two logs, {name}", "told", _sets([r[what][k] for r in found["rows"]]))
+        for k, name in enumerate(("a study", "a coordinate search"))
+    ]  # fmt: skip
+    both = expectations(rounds)
+    if both is None:
+        return [*rows, Row("beside kalman-py", "told", "not installed")]
+    names = "a study", "EM of kalman-py (a full Q, a smoother per set)"
+    return rows + [
+        Row(f"parameter sets until within {what}, one log, {name}", "told", _sets(each))
+        for name, each in zip(names, both, strict=True)
+    ]
 
 
-WHAT = {"coverage": coverage, "evaluations": evaluations, "overhead": overhead, "kills": kills}
+def _overhead(rounds: int) -> Row:
+    found = overhead(10 * rounds)
+    alone = found["program alone, ms"]
+    return Row(
+        f"overhead per run of a program of {alone:.0f} ms",
+        "told",
+        f"{found['overhead, ms']:.0f} ms",
+    )
 
-if __name__ == "__main__":
-    for name in sys.argv[1:] or WHAT:
-        began = time.perf_counter()
-        print(
-            name,
-            json.dumps(WHAT[name](), indent=1),
-            f"{time.perf_counter() - began:.0f} s",
-            flush=True,
-        )
+
+def programs(rounds: int) -> list[Row]:
+    """Everything, in the order of the table."""
+    return measured((_coverage, _evaluations, _overhead), rounds)

@@ -22,11 +22,12 @@ ABOUT = """How fast navgym is, as ratios to well-known things measured in the sa
     navgym benchmark ins                against numpy, pyins and navlib
     navgym benchmark agents             learning, acting, live filters (needs the agents extra)
     navgym benchmark studies            what Optuna and its storage cost
+    navgym benchmark programs           tuning a program: what it costs, and whether its intervals hold
     navgym benchmark deck --write benchmarks-deck.md
 
 Machines are noisy, so each pair is run in turns, and the median of the ratios is what counts. The
-peers filterpy, fastrvm, dynamax, pyins and navlib are optional: pip install filterpy fastrvm dynamax
-python-ins navlib.
+peers filterpy, fastrvm, dynamax, pyins, navlib and kalman-py are optional: pip install filterpy fastrvm
+dynamax python-ins navlib kalman-py.
 """
 TITLES = {
     "auv": "the AUV",
@@ -34,6 +35,7 @@ TITLES = {
     "ins": "the INS",
     "agents": "agents",
     "studies": "studies",
+    "programs": "programs that are tuned",
 }
 
 
@@ -41,7 +43,9 @@ TITLES = {
 class BenchmarkOptions:
     """What was asked for."""
 
-    part: Annotated[Literal["auv", "deck", "ins", "agents", "studies"], tyro.conf.Positional]
+    part: Annotated[
+        Literal["auv", "deck", "ins", "agents", "studies", "programs"], tyro.conf.Positional
+    ]
     """what to measure"""
     rounds: int = 7
     """turns per pair"""
@@ -70,6 +74,10 @@ def _part(name: str) -> Callable[[int], list[Row]]:
         from navgym.tuning.benchmarks.studies import studies
 
         return studies
+    if name == "programs":
+        from navgym.tuning.benchmarks.programs import programs
+
+        return programs
     from navgym.tuning.benchmarks import auv, deck, ins
 
     return {"auv": auv.auv, "deck": deck.deck, "ins": ins.ins}[name]

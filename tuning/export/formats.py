@@ -141,7 +141,7 @@ class Lines:
 
     def read(self, text: str) -> dict[str, Any]:
         """Values by name."""
-        found = {}
+        found: dict[str, Any] = {}
         for each in re.finditer(self.pattern, text, flags=re.MULTILINE):
             word = each["value"].strip().strip('"')
             try:

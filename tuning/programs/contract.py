@@ -139,7 +139,7 @@ def parameter(name: str, told: Any) -> Parameter:
     if choices:
         return _choice(name, choices, told.get("default", choices[0]), symbol)
     low, high = _range(name, told.get("range"))
-    default = told.get("default")
+    default: Any = told.get("default")
     if not _is_number(default):
         raise ValueError(f"parameters.{name}.default must be a number, got {default!r}.")
     if not low <= default <= high:

@@ -179,4 +179,4 @@ def serve(scratch):
 
 
 if __name__ == "__main__":
-    serve(sys.argv[1])
+    serve(sys.argv[1])  # type: ignore[no-untyped-call]

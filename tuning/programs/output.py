@@ -242,12 +242,12 @@ def _beside(columns: Columns, log: str, time: Array) -> list[Array]:
     if not path.is_file():
         raise Failed("no reference", f"there is no {path}")
     table = Table.read(path, path.name)
-    own = (table.find("time", "time" if "time" in table.columns else columns.time) or [None])[0]
-    if own is None or not (np.diff(own) > 0.0).all():
+    times = table.find("time", "time" if "time" in table.columns else columns.time)
+    if not times or not (np.diff(times[0]) > 0.0).all():
         raise Failed("no reference", f"{path.name} has no column of rising times")
     shared = tuple(n for n in columns.estimate if n in table.columns)
     found = table.find("reference", columns.reference or shared)
-    return [np.interp(time, own, each, left=np.nan, right=np.nan) for each in found]
+    return [np.interp(time, times[0], each, left=np.nan, right=np.nan) for each in found]
 
 
 def of_anything(found: Any, columns: Columns, log: str = "") -> Output:

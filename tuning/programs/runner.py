@@ -104,7 +104,7 @@ class Command:
         """
         place = Path(log)
         told = {"log": log, "out": out, "folder": str(place.parent), "name": place.stem}
-        made = []
+        made = list[str]()
         for word in self.words:
             if word == "{parameters}":
                 made += parameters

@@ -146,12 +146,14 @@ class Ruler:
         place = (output.time - self.begin) / (self.end - self.begin)
         inside = (place >= 0.0) & (place <= 1.0)
         where = np.minimum((np.where(inside, place, 0.0) * BLOCKS).astype(np.int64), BLOCKS - 1)
-        made = {}
+        made: dict[str, tuple[Array, Array]] = {}
         for name, (each, count) in _rows(output, self).items():
             heard = inside & (count > 0)
             with np.errstate(invalid="ignore"):
-                total = np.bincount(where[heard], each[heard], BLOCKS)
-            made[name] = total, np.bincount(where[heard], count[heard], BLOCKS)
+                total, rows = (
+                    np.asarray(np.bincount(where[heard], a[heard], BLOCKS), dtype=np.float64) for a in (each, count)
+                )  # fmt: skip
+            made[name] = total, rows
         return made
 
     def components(self, quantity: str, span: Span) -> int:
@@ -181,7 +183,7 @@ def _rows(output: Output, ruler: Ruler) -> dict[str, tuple[Array, Array]]:
                 known = ~np.isnan(given)
                 made[name] = np.where(known, sign * given, 0.0), output.components * known
         if output.error is not None:
-            known = ~np.isnan(output.error).any(axis=1)
+            known = np.asarray(~np.isnan(output.error).any(axis=1))
             square = (output.error**2).sum(axis=1)
             made["rmse"] = np.where(known, square, 0.0), known.astype(float)
     return made
@@ -242,7 +244,7 @@ class Run:
             raise Failed(
                 "too few rows", f"{int(count)} values of {name} where the defaults give {wanted}"
             )
-        return value(measure, float(self.sums[name][span[0] : span[1]].sum()), float(count))
+        return float(value(measure, float(self.sums[name][span[0] : span[1]].sum()), float(count)))
 
 
 def value(measure: str, total: Any, count: Any) -> Any:

@@ -138,7 +138,7 @@ def run(
         for name, each, span in zip(
             ("tune on", "choose on", "report on"), logs, spans, strict=True
         ):
-            parts = _parts(tool, runs, each, rulers, defaults, measure, span, lost)
+            parts = judged(tool, runs, each, rulers, defaults, measure, span, lost)
             if not parts:
                 raise ValueError(
                     f"no log is left to {name}: {'; '.join(f'{k}: {v}' for k, v in lost.items())}"
@@ -275,7 +275,7 @@ def shared_out(
     )  # fmt: skip
 
 
-def _parts(
+def judged(
     tool: Tool, runs: Runs, logs: Sequence[Log], rulers: Mapping[str, Any], defaults: Mapping[str, Any],
     measure: Measure, share: Spans, lost: dict[str, str],
 ) -> tuple[Part, ...]:  # fmt: skip

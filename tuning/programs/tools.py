@@ -168,7 +168,10 @@ class Function:
                 found = self.call(log.what, dict(values))
         except Exception as error:
             raise Failed(type(error).__name__, " ".join(str(error).split())[:500]) from error
-        return of_anything(found, self.columns, str(log.what))
+        place = (
+            log.what if isinstance(log.what, (str, Path)) else log.name
+        )  # an array's text is long
+        return of_anything(found, self.columns, str(place))
 
 
 # ---- runs, each made once
@@ -197,7 +200,7 @@ class Runs:
             again: number of the repetition, to see whether runs differ.
         """
         key = self._key(tool, log, values, f"{ruler.digest} {again}")
-        kept = self._load(key, Run.of_dict)
+        kept: Run | None = self._load(key, Run.of_dict)
         if kept is not None:
             return kept
         began = time.perf_counter()
@@ -209,7 +212,7 @@ class Runs:
     def ruler(self, tool: Tool, log: Log, values: Mapping[str, Any]) -> Ruler:
         """The ruler of a log, from the run at `values`; raises `Failed`."""
         key = self._key(tool, log, values, "ruler")
-        kept = self._load(key, Ruler.of_dict)
+        kept: Ruler | None = self._load(key, Ruler.of_dict)
         if kept is not None:
             return kept
         began = time.perf_counter()

@@ -49,6 +49,7 @@ def follow(title, folder):
             assert done.returncode == 0, f"{line}\n{done.stderr[-2000:]}"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 def test_a_program_in_c(tmp_path):
     follow("A program in C", tmp_path)
@@ -66,6 +67,7 @@ def test_a_program_in_c(tmp_path):
         assert found["intervals"][name][0] < true < found["intervals"][name][1]
 
 
+@pytest.mark.slow
 def test_a_script_in_python(tmp_path):
     follow("A script in Python", tmp_path)
     found = json.loads((tmp_path / "tuned.json").read_text())["filter"]
@@ -73,6 +75,7 @@ def test_a_script_in_python(tmp_path):
     assert 0.1 < found["gain"] < 0.5  # of the walk and the meter above: .22
 
 
+@pytest.mark.slow
 def test_an_ekf_of_filterpy(tmp_path):
     pytest.importorskip("filterpy")
     yaml = pytest.importorskip("yaml")
