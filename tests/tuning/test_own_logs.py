@@ -130,7 +130,7 @@ def test_another_truth_is_refused_at_once(mine, asked, message):
 def test_no_smoother_stands_for_a_truth_that_is_known_or_for_what_cannot_be_smoothed(tmp_path):
     known = navgym.simulate("auv/nominal", seed=1, steps=40)
     deck = navgym.simulate("deck/paper", seed=1, duration=4.0)
-    deck = dataclasses.replace(deck, truth=None)
+    deck = dataclasses.replace(deck, theta=None, theta_rate=None, true_flexure=None)
     turning = navgym.simulate("auv/coordinated-turn", seed=1, steps=40)
     turning = dataclasses.replace(turning, truth=None)
     for recording, message in (
