@@ -137,7 +137,8 @@ def _errors(axes: Any, estimate: Estimate) -> None:
 def _innovation_deviation(estimate: Estimate) -> Array | None:
     """(T, m) of each innovation: the filter's own, else what the recording's linear model makes of its covariances."""
     if "innovation_variance" in estimate.extras:
-        return np.sqrt(estimate.extras["innovation_variance"])
+        known: Array = np.sqrt(estimate.extras["innovation_variance"])
+        return known
     model = getattr(estimate.recording, "model", None)
     if not isinstance(model, LinearModel):
         return None
@@ -150,7 +151,8 @@ def _innovation_deviation(estimate: Estimate) -> Array | None:
         @ np.swapaxes(model.H, -1, -2)
         + model.R
     )
-    return np.sqrt(np.diagonal(S, axis1=-2, axis2=-1))
+    found: Array = np.sqrt(np.diagonal(S, axis1=-2, axis2=-1))
+    return found
 
 
 def _innovations(axes: Any, estimate: Estimate) -> None:

@@ -9,6 +9,7 @@ import time
 import pytest
 
 from navgym.core.seeds import split_of
+from tests.browser import check, needs_browser
 from tests.commands import ROOT, ended, run, start, started
 
 # what is no command of navgym, because it is for those who work on it
@@ -50,6 +51,11 @@ def test_the_demo_prints_its_table_and_where_the_page_is(demo):
     assert re.search(r"position, to 1 m, and its velocity, to 1 m/s", text)
     assert text.splitlines()[-2].startswith("now your log")
     assert text.splitlines()[-1].strip().startswith("navgym tune --filter bank --log my.csv")
+
+
+@needs_browser
+def test_the_page_fits_in_a_browser(demo, tmp_path):
+    check([demo[0] / "report.html"], tmp_path)
 
 
 def test_the_page_shows_the_numbers_of_the_results(demo):

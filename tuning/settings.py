@@ -16,6 +16,7 @@ from navgym.readers import ReaderOptions
 from navgym.simulation import scenarios
 from navgym.statespace.filters.spaces import PROCESS
 from navgym.tuning.objectives import find_measure, narrowed
+from navgym.tuning.smoothed import SMOOTHER
 from navgym.tuning.study.run import STUDY
 from navgym.tuning.study.search_space import SAMPLERS
 
@@ -64,6 +65,10 @@ class StudySettings:
             position_noise 5 columns.px "north (m)"; before them, if you like, a mapping file, NAME.toml.
         format: of the logs: csv, deck_csv, npz or another that navgym.read knows (default: what they
             look like).
+        truth: smoother: judge parameters on --log against what the plain filter at its defaults smooths of
+            it, as if that were the truth; or a tuned.toml of the plain filter, whose parameters smooth.
+            It is circular: it favours the smoother's own filter and parameters, and an error that both
+            share shows in nothing. Without it the measure is what the filter foretells.
         akit: folder of the A-KIT tracks: tune on 1 to 3 without their truth, report on 4 to 6.
         free: parameters to vary; all for every one. By default, of a variational filter on simulated
             conditions, the four that matter there; on other simulated ones every one of the filter's own;
@@ -101,6 +106,7 @@ class StudySettings:
     report_log: tuple[Path, ...] = ()
     read: tuple[str, ...] = ()
     format: str | None = None
+    truth: str | None = None
     akit: Path | None = None
     free: tuple[str, ...] = ()
     fix: dict[str, str] = field(default_factory=dict)
@@ -158,11 +164,22 @@ class StudySettings:
                 raise FileNotFoundError(f"no log at {path}: give the path of a file.")
         if self.read and not self.log:
             raise ValueError("--read is for the reader of --log: name the logs too.")
+        if self.truth is not None:
+            self._check_truth(self.truth)
         for path in (*self.log, *self.report_log):
             self.reading.options(self.reading.format_of(path))
             if self.reading.problem(path) is not self.problem:
                 raise ValueError(f"{self.log[0]} and {path} are logs of different problems.")
         self._check_problem()
+
+    def _check_truth(self, truth: str) -> None:
+        """ValueError unless logs can be judged by that."""
+        if not self.log:
+            raise ValueError("--truth is for --log: name the logs too.")
+        if truth != SMOOTHER and not Path(truth).is_file():
+            raise ValueError(
+                f"truth must be {SMOOTHER!r} or a tuned.toml of the plain filter, got {truth!r}."
+            )
 
     def _check_problem(self) -> None:
         """ValueError unless the filter and what it is tuned on are of one problem."""

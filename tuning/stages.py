@@ -14,6 +14,7 @@ from navgym.readers import ReaderOptions
 from navgym.tuning.cases import Cases
 from navgym.tuning.experiments import real_cases
 from navgym.tuning.settings import StudySettings
+from navgym.tuning.smoothed import SMOOTHER, caveat, judged_by_smoother
 from navgym.tuning.study.recipes import KEPT, travelling
 
 # shares of a log that is tuned on up to here, and chosen among leaders up to there
@@ -29,12 +30,14 @@ class Stages:
         select: what the leaders are evaluated on again, by name.
         report: what the winner is compared on, by name.
         split: how the three are kept apart, in words.
+        caveat: what is to be known of every figure; "" for nothing.
     """
 
     train: Mapping[str, Cases]
     select: Mapping[str, Cases]
     report: Mapping[str, Cases]
     split: str
+    caveat: str = ""
 
 
 def stages(settings: StudySettings) -> Stages:
@@ -89,25 +92,39 @@ def _logs(settings: StudySettings) -> Stages:
             f"the first {TUNED:.0%} of each log was tuned on, the samples up to {CHOSEN:.0%} chose "
             "among the leaders, the rest is reported on"
         )
-    made = [{"logs": logged(settings.reading, paths, span)} for paths, span in spans]
-    return Stages(made[0], made[1], made[2], how)
+    made = [{"logs": logged(settings.reading, p, span, settings.truth)} for p, span in spans]
+    some = made[0]["logs"].recordings[0]
+    return Stages(made[0], made[1], made[2], how, caveat(some) if settings.truth else "")
 
 
 @travelling
-def logged(reading: ReaderOptions, paths: tuple[Path, ...], span: tuple[float, float]) -> Cases:
-    """Logs as cases that are scored between two shares of their samples."""
+def logged(
+    reading: ReaderOptions,
+    paths: tuple[Path, ...],
+    span: tuple[float, float],
+    truth: str | None = None,
+) -> Cases:
+    """Logs as cases that are scored between two shares of their samples, smoothed for a truth if asked."""
     about: dict[str, Any] = {"logs": [_printed(path) for path in paths]}
     told = _told(reading)
     about |= {"read": told} if told else {}
+    if truth is not None:
+        about["truth"] = truth if truth == SMOOTHER else _printed(Path(truth))
     prints = zip(paths, about["logs"], strict=True)
-    recordings = [_read(reading, path, (own, *told)) for path, own in prints]
+    asked = (truth, about.get("truth"))
+    recordings = [_read(reading, path, (own, *told), asked) for path, own in prints]
     return Cases.of(recordings, about | {"scored": list(span)}, span)
 
 
 @lru_cache(maxsize=KEPT)
-def _read(reading: ReaderOptions, path: Path, _prints: tuple[str, ...]) -> Any:
+def _read(
+    reading: ReaderOptions, path: Path, _prints: tuple[str, ...], asked: tuple[str | None, Any]
+) -> Any:
     """A log, which serves up to three stages; one whose files have changed is read again."""
-    return reading.read(path)
+    recording, truth = reading.read(path), asked[0]
+    if truth is None:
+        return recording
+    return judged_by_smoother(recording, None if truth == SMOOTHER else truth)
 
 
 def _printed(path: Path) -> str:

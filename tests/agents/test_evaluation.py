@@ -45,6 +45,7 @@ from navgym.tuning.report import page as report
 from tests.agents import hand_made
 from tests.agents.both import AUV, DECK, run
 from tests.agents.mixtures import mixture
+from tests.browser import check, needs_browser
 
 # a vehicle that manoeuvres all the time, which the best fixed parameters of `nominal` know nothing of
 WRONG_MODEL = {"process_scale": 20.0, "steps": 150, "loss": 0.0}
@@ -248,6 +249,12 @@ def test_the_page_says_that_filters_which_learn_nothing_are_ahead(switching, tmp
     assert (
         html.count('<div class="wide">') == 3
     )  # ladder, parameters in time, errors around switches
+
+
+@needs_browser
+def test_the_page_fits_in_a_browser(switching, tmp_path):
+    page = report.write_page(tmp_path / "report.html", evaluation_report.page([switching], {}))
+    check([page], tmp_path)
 
 
 def test_a_combiner_that_learnt_nothing_is_the_bank(tmp_path, monkeypatch):

@@ -1,11 +1,14 @@
 """Logs of one's own are tuned on as they are read: with the reader's options, with models of their own."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 import navgym
 from navgym import command
 from navgym.tuning.settings import StudySettings
+from navgym.tuning.smoothed import judged_by_smoother
 from navgym.tuning.stages import stages
 from tests.commands import run
 
@@ -92,6 +95,57 @@ def test_a_recording_with_a_model_of_its_own_is_tuned_to_the_end(mine, tmp_path)
     assert (tmp_path / "out" / "tuned.toml").exists()
     assert "process_noise_scale" in (tmp_path / "out" / "tuned.toml").read_text()
     assert out
+
+
+# ---- judged against a smoother
+
+
+def test_a_smoothed_track_stands_for_the_truth_and_all_that_is_said_says_so(mine, tmp_path, capsys):
+    out = tmp_path / "out"
+    words = ["--filter", "kf", "--log", str(mine), "--truth", "smoother", "--out", str(out)]
+    assert command.main(["tune", *words, "--workers", "1", "--trials", "6"]) == 0
+    said = capsys.readouterr().out
+    assert "The truth is no truth" in said
+    assert "which favours kf" in said
+    assert "The truth is no truth" in (out / "report.html").read_text("utf-8")
+    asked = StudySettings(filter="kf", log=(mine,), truth="smoother")
+    (recording,) = stages(asked).train["logs"].recordings
+    smoothed = navgym.smooth("kf", navgym.Recording.load(mine))
+    np.testing.assert_array_equal(recording.truth, smoothed.states)
+    assert recording.meta["truth"] == "kf smoothed (smoother), not measured"
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"truth": "smother"}, "truth must be 'smoother' or a tuned.toml .*, got 'smother'"),
+        ({"truth": "smoother", "log": ()}, "--truth is for --log"),
+    ],
+)
+def test_another_truth_is_refused_at_once(mine, asked, message):
+    with pytest.raises(ValueError, match=message):
+        StudySettings(**{"filter": "kf", "log": (mine,), **asked})
+
+
+def test_no_smoother_stands_for_a_truth_that_is_known_or_for_what_cannot_be_smoothed(tmp_path):
+    known = navgym.simulate("auv/nominal", seed=1, steps=40)
+    deck = navgym.simulate("deck/paper", seed=1, duration=4.0)
+    deck = dataclasses.replace(deck, theta=None, theta_rate=None, true_flexure=None)
+    turning = navgym.simulate("auv/coordinated-turn", seed=1, steps=40)
+    turning = dataclasses.replace(turning, truth=None)
+    for recording, message in (
+        (known, "whose truth is known"),
+        (deck, "cannot be smoothed"),
+        (turning, "Leave --truth out"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            judged_by_smoother(recording)
+
+
+def test_an_inertial_log_is_smoothed_too():
+    recording = navgym.simulate("ins/nominal", seed=1, duration=20.0)
+    blind = dataclasses.replace(recording, truth=None)
+    assert judged_by_smoother(blind).truth.shape == recording.truth.shape
 
 
 def test_the_next_command_of_navgym_read_is_one_that_runs(log, capsys):

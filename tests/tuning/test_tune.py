@@ -16,6 +16,7 @@ from navgym.tuning.cases import Cases
 from navgym.tuning.headroom import FIXED, TABLE, headroom
 from navgym.tuning.report import study as tune_report
 from navgym.tuning.settings import StudySettings
+from tests.browser import check, needs_browser
 
 
 def small(out, **more):
@@ -67,6 +68,11 @@ def test_the_page_and_the_results_hold_the_same_numbers(found):
     assert len(results["trials"]) == 24
     assert set(results["sweeps"]) == {p.name for p in found.settings.parameters()}
     assert {"navgym", "python", "optuna"} <= set(results["provenance"]["versions"])
+
+
+@needs_browser
+def test_the_page_fits_in_a_browser(found, tmp_path):
+    check([found.settings.out / "report.html"], tmp_path)
 
 
 def test_the_same_command_again_finds_the_study_done_and_the_same_winner(found):

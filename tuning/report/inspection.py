@@ -30,7 +30,8 @@ def page(found: Inspection) -> Page:
     """The page of an inspection."""
     count = len(found.findings)
     tiles = [Tile(str(count), "findings" if count != 1 else "finding", "own" if count else "best")]
-    tiles += [Tile(f"{each.share:.0%}", f"of {each.sensor} lost", "") for each in found.losses[:4]]
+    lossy = [each for each in found.losses if each.runs]
+    tiles += [Tile(f"{each.share:.0%}", f"of {each.sensor} lost", "") for each in lossy[:3]]
     sections = [
         Section("Findings", _said(found), [_findings(found.findings)] if count else []),
         Section("What is in it", [], [Table(("", ""), [(n, t) for n, t in found.told], text_columns=(0, 1))] if found.told else []),

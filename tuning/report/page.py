@@ -165,5 +165,10 @@ def _drawn(figure: Figure) -> Markup:
 def _rich(text: str) -> Markup:
     """Escaped text in which `code` and **strong** mean what they look like."""
     html = str(escape(text))
-    html = re.sub(r"`([^`]+)`", r"<code>\1</code>", html)
+    html = re.sub(r"`([^`]+)`", lambda found: f"<code>{_unbroken(found[1])}</code>", html)
     return Markup(re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", html))  # noqa: S704 - escaped
+
+
+def _unbroken(code: str) -> str:
+    """Code whose flags are not broken after their dashes at the end of a line."""
+    return re.sub(r"(?<!\S)--?[\w-]+", r'<span class="flag">\g<0></span>', code)

@@ -224,7 +224,7 @@ def _tiles(found: Findings) -> list[Tile]:
 
 def _about_winner(found: Findings, strong: str = "") -> list[str]:
     """Whether the winner holds, what NIS chose, and whether it stands at the end of a range."""
-    said = []
+    said = [found.stages.caveat] if found.stages.caveat else []
     if found.held.said:
         said.append(f"{strong}{found.held.said}{strong}")
     if found.calibrated is not None:

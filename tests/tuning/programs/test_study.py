@@ -18,6 +18,7 @@ from navgym.tuning.programs.function import tune
 from navgym.tuning.programs.settings import ProgramSettings
 from navgym.tuning.report import study as usual
 from tests import commands
+from tests.browser import check, needs_browser
 from tests.tuning.programs import making
 from tests.tuning.programs.test_runner import gone
 
@@ -104,6 +105,11 @@ def test_known_noises_are_found_and_the_study_says_how_surely(done):
         assert low < found["parameters"][name] < high
     assert "95 % interval" in text
     assert "held-out logs: +" in text
+
+
+@needs_browser
+def test_the_page_fits_in_a_browser(done, tmp_path):
+    check([done[0] / "report.html"], tmp_path)
 
 
 def test_no_log_serves_two_ends_and_the_page_says_which_serves_what(done):
