@@ -156,7 +156,10 @@ def _run(plugin: Plugin, chosen: Filter, batch: Any, table: Array, everything: b
     inside = np.arange(batch.steps) < batch.lengths[:, None]
     lost = ~np.isfinite(made["states"]).all(axis=-1) & inside
     heard = np.isfinite(made["innovations"]).sum(axis=-1)
-    return Run(diverged=lost.any(axis=1), components=heard, **made)
+    return Run(
+        made["states"], lost.any(axis=1), made["covariances"], made["innovations"], made["nis"],
+        made["log_likelihood"], heard,
+    )  # fmt: skip
 
 
 NAMES = ("states", "covariances", "innovations", "nis", "log_likelihood")

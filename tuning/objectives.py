@@ -73,7 +73,9 @@ class Evaluation:
 class InstanceGoal(Goal, Protocol):
     """A goal that is a statistic of losses over instances, which can be looked at in parts."""
 
-    metric: str
+    @property
+    def metric(self) -> str:
+        """Of the instances' losses: a name of `navgym.metrics.measures.METRICS`."""
 
     def __len__(self) -> int:
         """Number of instances."""

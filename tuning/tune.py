@@ -47,12 +47,32 @@ MOVES = 0.005
 class Asked(Protocol):
     """What reports read of a study's settings."""
 
-    filter: str
-    out: Path
-    storage: str | None
-    seed: int
-    sampler: str
-    cost: bool
+    @property
+    def filter(self) -> str:
+        """What is tuned."""
+
+    @property
+    def out(self) -> Path:
+        """Folder of everything that is written."""
+
+    @property
+    def storage(self) -> str | None:
+        """Where trials are kept."""
+
+    @property
+    def seed(self) -> int:
+        """Of the sampler."""
+
+    @property
+    def sampler(self) -> str:
+        """Its name."""
+
+    @property
+    def cost(self) -> bool:
+        """Whether time is minimised too."""
+
+    def fixed(self, space: Any, /) -> dict[str, Any]:
+        """Parameters that are not tuned, at values of their own."""
 
     @property
     def amount(self) -> Amount:
@@ -76,7 +96,7 @@ class Findings:
         calibrated: the factor on all noise scales by which NIS became 1; None where there is none.
     """
 
-    settings: StudySettings
+    settings: Asked
     goal: InstanceGoal
     outcome: Outcome
     chosen: Trial

@@ -41,12 +41,11 @@ def _model(policy: Policy) -> Any:
     helper, n, k = onnx.helper, len(policy.low), len(policy.layers[-1][1])
     nodes, constants = _graph(policy)
     single = onnx.TensorProto.FLOAT
-    ends = [helper.make_tensor_value_info(*a) for a in (
-        ("observation", single, ["N", n]), ("action", single, ["N", k]),
-    )]  # fmt: skip
+    read = helper.make_tensor_value_info("observation", single, ["N", n])
+    written = helper.make_tensor_value_info("action", single, ["N", k])
     graph = helper.make_graph(
         [helper.make_node(op, inputs, [out], **more) for op, inputs, out, more in nodes],
-        "navgym policy", ends[:1], ends[1:],
+        "navgym policy", [read], [written],
         [onnx.numpy_helper.from_array(value, name) for name, value in constants.items()],
     )  # fmt: skip
     model = helper.make_model(

@@ -303,9 +303,9 @@ class Policy:
             )
         source = "given"
         if isinstance(reference, (str, os.PathLike)):
-            tuned = read_tuned(reference)
+            source, tuned = Path(reference).name, read_tuned(reference)
             one_of("filter of the reference", tuned.filter, (self.manifest.filter,))
-            reference, source = tuned.parameters, Path(reference).name
+            reference = tuned.parameters
         whole = self._space.defaults | dict(reference)
         if len(self._space.array(whole)) > 1:
             raise ValueError(f"reference must hold one number per parameter, got {reference!r}.")

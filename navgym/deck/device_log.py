@@ -140,4 +140,5 @@ def _grid(times: list[Array]) -> Array:
         raise ValueError(
             f"even steps of {usual:.6g} s would be {count:.3g}: a time in the log is wrong."
         )
-    return first + usual * np.arange(int(count + 1e-6) + 1)  # stamps of whole ns
+    grid: Array = first + usual * np.arange(int(count + 1e-6) + 1)  # stamps of whole ns
+    return grid

@@ -69,5 +69,5 @@ def world_velocity(body: Channel, attitude: Channel) -> Channel:
     C = turned.as_matrix()
     variance = np.einsum("tij,tj->ti", C**2, sigma**2)
     values = np.column_stack([turned.apply(whole), np.sqrt(variance)])
-    values[~known] = np.nan
+    values[np.logical_not(known)] = np.nan
     return Channel(body.name, "velocity", body.time, values, body.rank)

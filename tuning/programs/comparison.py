@@ -50,11 +50,11 @@ def compared(
     """
     usual = {n: contract.space.defaults[n] for n in goal.space.names}
     sets = {f"{own}, default": usual, f"{own}, tuned": dict(winner.values)}
-    sets |= {START.format(own): usual | dict(v) for v in first}
+    sets |= {START.format(own): {**usual, **v} for v in first}
     calls = [(goal, part, values) for values in sets.values() for part in goal.parts]
     found = iter(run(_attempt, calls))
     runs = {label: [next(found) for _ in goal.parts] for label in sets}
-    entries = [Entry(label, own, goal.fixed | values) for label, values in sets.items()]
+    entries = [Entry(label, own, {**goal.fixed, **values}) for label, values in sets.items()]
     errors = {
         label: np.array([_loss(goal, p, r) for p, r in zip(goal.parts, each, strict=True)])
         for label, each in runs.items()

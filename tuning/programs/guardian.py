@@ -21,13 +21,14 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 SET_PDEATHSIG, SET_CHILD_SUBREAPER = 1, 36  # of prctl, from linux/prctl.h
 TICK = 0.1  # s between looks at what a program has written
 SWEEPS = 1000  # at most, of children that have children while they are killed
 
 
-def _prctl():
+def _prctl() -> Any:
     """The call of that name, or None on systems without it."""
     if not sys.platform.startswith("linux"):
         return None
@@ -40,7 +41,7 @@ def _prctl():
 PRCTL = _prctl()
 
 
-def run(request):
+def run(request: dict[str, Any]) -> dict[str, Any]:
     """Run one program to its end; returns how it ended, as a dict.
 
     `request` holds words, folder, environment, limit (s), largest (bytes written), out and err (files).
@@ -48,7 +49,7 @@ def run(request):
     began = time.monotonic()
     largest = request["largest"]
 
-    def prepare():
+    def prepare() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         if PRCTL is not None:
@@ -78,12 +79,12 @@ def run(request):
     }  # fmt: skip
 
 
-def answer(told):
+def answer(told: dict[str, Any]) -> None:
     """Write a line."""
     os.write(sys.stdout.fileno(), json.dumps(told).encode() + b"\n")
 
 
-def watch(process, until, folder, largest):
+def watch(process: subprocess.Popen[bytes], until: float, folder: str, largest: int) -> str:
     """Wait for a program's end; what it is to be killed for otherwise, "" for nothing."""
     watched = [sys.stdin.fileno()]
     handle = None
@@ -113,7 +114,7 @@ def watch(process, until, folder, largest):
             os.close(handle)
 
 
-def size(folder, most):
+def size(folder: str, most: int) -> int:
     """Bytes of the files below a folder, as far as `most`."""
     total, waiting = 0, [folder]
     while waiting and total <= most:
@@ -127,7 +128,7 @@ def size(folder, most):
     return total
 
 
-def children():
+def children() -> list[int]:
     """Processes that this one is the parent of, those of dead parents included."""
     try:
         found = Path(f"/proc/self/task/{os.getpid()}/children").read_text()
@@ -136,7 +137,7 @@ def children():
         return []
 
 
-def sweep():
+def sweep() -> int:
     """Kill whatever a program has left; returns how many there were."""
     killed = 0
     for _ in range(SWEEPS):
@@ -154,7 +155,7 @@ def sweep():
     return killed
 
 
-def serve(scratch):
+def serve(scratch: str) -> None:
     """Answer requests until the pipe closes; then remove the scratch folder."""
     if PRCTL is not None:
         PRCTL(SET_CHILD_SUBREAPER, 1, 0, 0, 0)
@@ -179,4 +180,4 @@ def serve(scratch):
 
 
 if __name__ == "__main__":
-    serve(sys.argv[1])  # type: ignore[no-untyped-call]
+    serve(sys.argv[1])

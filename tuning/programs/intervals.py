@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navgym.core.checks import Array
 from navgym.core.parameters import Parameter
@@ -124,7 +125,7 @@ def fitted(goal: ProgramGoal, start: Mapping[str, Any], run: Map) -> Fit | None:
     return _told(surface, place, steps, untold)
 
 
-def _steps(surface: _Surface, place: Array, steps: Array) -> tuple[Array, Array]:
+def _steps(surface: _Surface, place: Array, steps: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Steps that change the likelihood by about a nat, and along which axes anything does."""
     steps, told = steps.copy(), np.ones(len(steps), dtype=np.bool_)
     for _ in range(6):
