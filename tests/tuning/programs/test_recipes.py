@@ -49,7 +49,6 @@ def follow(title, folder):
             assert done.returncode == 0, f"{line}\n{done.stderr[-2000:]}"
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 def test_a_program_in_c(tmp_path):
     follow("A program in C", tmp_path)
