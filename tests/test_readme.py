@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import subprocess
 import sys
 from pathlib import Path
 
@@ -73,9 +74,10 @@ def test_commands_are_found_and_no_script_is_told_of_in_their_place():
         assert not told & own, page.name
 
 
-def test_the_readme_has_a_log_at_hand():
-    assert "navgym.sample_log()" in README
-    assert len(navgym.read("csv", navgym.sample_log()).time) > 100
+def test_the_shell_s_example_makes_a_log(tmp_path):
+    (line,) = re.findall(r"^python -c '(.*)'$", README, re.MULTILINE)
+    subprocess.run([sys.executable, "-c", line], cwd=tmp_path, check=True)
+    assert len(navgym.read("csv", tmp_path / "my_log.csv").time) > 100
 
 
 def test_every_file_that_the_readme_points_to_exists():
