@@ -46,7 +46,7 @@ def test_every_array_has_a_row_per_filter_step(found):
     assert found.diverged is False
     assert found.unobserved.shape == (0, 3)
     told = {f.name for f in fields(found)} - {"extras"} | set(found.extras)
-    assert set(SHAPES) | {"flexures", "diverged", "unobserved"} == told
+    assert set(SHAPES) | {"flexures", "diverged", "unobserved", "recording", "parameters"} == told
     np.testing.assert_allclose(found.time, 0.05 * np.arange(1, 1201))
 
 
