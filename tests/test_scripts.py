@@ -50,7 +50,7 @@ def test_the_demo_prints_its_table_and_where_the_page_is(demo):
     assert f"report: {out / 'report.html'}" in text
     assert re.search(r"position, to 1 m, and its velocity, to 1 m/s", text)
     assert text.splitlines()[-2].startswith("now your log")
-    assert text.splitlines()[-1].strip().startswith("navgym tune --filter bank --log my.csv")
+    assert text.splitlines()[-1].strip().startswith("navgym inspect my.csv")
 
 
 @needs_browser

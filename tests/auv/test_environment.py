@@ -221,7 +221,7 @@ def test_bad_arguments_are_named(arguments, message):
 
 
 def test_the_batch_refuses_what_it_cannot_do():
-    with pytest.raises(ValueError, match="does not render"):
+    with pytest.raises(ValueError, match="render_mode of a batch"):
         AUVDropoutVectorEnv(2, render_mode="human")
     with pytest.raises(ValueError, match="num_envs must be"):
         AUVDropoutVectorEnv(0)
