@@ -384,7 +384,9 @@ def test_a_shipped_policy_fits_todays_environment(name, environment):
         **{k: v for k, v in policy.manifest.settings.items() if k not in ("scenario", "overrides")},
     ).unwrapped.engine  # fmt: skip
     policy.check(environment, engine.observation_names, engine.space.fingerprint)
-    assert policy.manifest.training["command"].startswith(("python scripts/train.py", "navgym train"))
+    assert policy.manifest.training["command"].startswith(
+        ("python scripts/train.py", "navgym train")
+    )
 
 
 def test_an_unknown_shipped_policy_is_refused():
