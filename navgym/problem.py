@@ -485,8 +485,8 @@ class Problem:
         estimate: (filter, batch of one, run) to the estimate that users get.
         smoother: (filter, batch of one, table of parameters, interval, run) to smoothed states (T, n) and
             covariances (T, n, n), of filters that can be smoothed; the run is the filter's own.
-        kernels: () to what touches every kernel once, pairs of a name and a function; those first
-            that take longest to compile.
+        kernels: () to what touches every kernel once: groups of pairs of a name and a function. Those
+            of a group share what they compile, so that one process does them.
         plain: the filter that needs no tuning; several where models differ, the first that can.
         bound: the filter that knows the truth.
         scoring: what estimates are judged by.
@@ -509,7 +509,7 @@ class Problem:
     stack: Callable[[Sequence[Any]], Any]
     runner: Callable[[Filter, Any, Array, int, bool], Run]
     estimate: Callable[[Filter, Any, Run], Any]
-    kernels: Callable[[], Sequence[tuple[str, Callable[[], Any]]]]
+    kernels: Callable[[], Sequence[Sequence[tuple[str, Callable[[], Any]]]]]
     plain: tuple[str, ...]
     bound: str
     scoring: Scoring

@@ -23,7 +23,7 @@ from navgym.problem import PROBLEMS, Problem, problem_of
 
 ABOUT = """Compile kernels now, instead of at first use.
 
-    navgym warm           those of every problem, two minutes or so on two cores
+    navgym warm           those of every problem, a minute or two on two cores
     navgym warm auv       those of one problem: {problems}
 
 Only for the usual sizes of models: others compile when they are first used, some seconds per filter.
@@ -33,16 +33,17 @@ folder that only you can write to, such as ~/.cache/navgym.
 
 
 def jobs(names: Iterable[str]) -> list[tuple[str, int]]:
-    """Problems and numbers of their jobs, the first of every problem first: they take longest."""
+    """Problems and numbers of their groups of jobs, the first of every problem first: they take longest."""
     each = [(name, i) for name in names for i in range(len(PROBLEMS[name].kernels()))]
     return sorted(each, key=lambda job: job[1])
 
 
-def compile_one(problem: str, number: int) -> tuple[str, dict[str, str]]:
-    """Run one job; returns what it was, and what kept its compiled code from being kept."""
-    what, run = PROBLEMS[problem].kernels()[number]
-    run()
-    return what, kernel_cache.troubles()
+def compile_group(problem: str, number: int) -> tuple[list[str], dict[str, str]]:
+    """Do a group of jobs; returns what they were, and what kept compiled code from being kept."""
+    group = PROBLEMS[problem].kernels()[number]
+    for _, run in group:
+        run()
+    return [what for what, _ in group], kernel_cache.troubles()
 
 
 def play(scenario: str, **overrides: Any) -> None:
@@ -114,12 +115,12 @@ def _all(todo: Sequence[tuple[str, int]]) -> bool:
     """Do the jobs in processes, showing how far they are; returns whether compiled code was kept."""
     kept = True
     with ProcessPoolExecutor(min(len(todo), cores()), initializer=_leave_interrupts) as pool:
-        running = [pool.submit(compile_one, *job) for job in todo]
+        running = [pool.submit(compile_group, *job) for job in todo]
         try:
             for done, job in enumerate(as_completed(running), start=1):
-                what, troubles = job.result()
+                group, troubles = job.result()
                 if sys.stderr.isatty():
-                    text = f"compiling kernels, {done} of {len(todo)}: {what}"
+                    text = f"compiling kernels, {done} of {len(todo)}: {', '.join(group)}"
                     sys.stderr.write(f"\r\x1b[K{text}")
                     sys.stderr.flush()
                 kept = kept and kernel_cache.UNKEPT not in troubles

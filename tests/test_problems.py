@@ -635,7 +635,7 @@ class TestStudy:
 
 @every
 def test_kernels_are_jobs_with_names(problem):
-    jobs = problem.kernels()
+    jobs = [job for group in problem.kernels() for job in group]
     assert jobs
     assert all(isinstance(what, str) and callable(job) for what, job in jobs)
     assert len({what for what, _ in jobs}) == len(jobs)

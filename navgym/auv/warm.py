@@ -17,32 +17,30 @@ from navgym.statespace.filters.modes import MODE_SETS
 from navgym.statespace.models import LinearModel
 from navgym.warm import brief, play, stream
 
-SCENARIOS = ("nominal", "position-only", "component-loss", "coordinated-turn")
+# groups of scenarios whose models have the same sizes, the larger first
+SCENARIOS = (("switch-D", "component-loss", "coordinated-turn"), ("position-only",))
 STEPS = {"steps": 3}
-# what takes longest to compile comes first, so that no process is left with it at the end
-SLOW = ("cukf", "bank", "qivbf")
 
 Job = tuple[str, Callable[[], Any]]
 
 
-def kernels() -> list[Job]:
-    """What there is to compile: a name, and what compiles it."""
+def kernels() -> list[list[Job]]:
+    """What there is to compile: groups of a name, and what compiles it."""
+    return [_group(scenarios) for scenarios in SCENARIOS]
+
+
+def _group(scenarios: tuple[str, ...]) -> list[Job]:
+    """The environment and every family of filters; the linear ones need no turning model."""
     found: list[Job] = [
-        (f"{what.__name__} {name}", partial(what, f"auv/{name}"))
+        (f"{what.__name__} {scenarios[0]}", partial(what, f"auv/{scenarios[0]}"))
         for what in (play, stream)
-        for name in ("switch-D", "position-only")
     ]
-    runs, seen = [], set()
-    for scenario in SCENARIOS:
+    for scenario in scenarios:
         turning = scenario == "coordinated-turn"
-        for name, chosen in CATALOGUE.items():
-            # one filter stands for its family; the linear ones need no turning model
-            key = (chosen.family, scenario)
-            if key not in seen and chosen.nonlinear >= turning:
-                seen.add(key)
-                runs.append((name, scenario))
-    runs.sort(key=lambda job: SLOW.index(job[0]) if job[0] in SLOW else len(SLOW))
-    return found + [(f"{n} on {s}", partial(filter_one, n, s)) for n, s in runs]
+        # one filter stands for its family
+        family = {f.family: name for name, f in CATALOGUE.items() if f.nonlinear >= turning}
+        found += [(f"{n} on {scenario}", partial(filter_one, n, scenario)) for n in family.values()]
+    return found
 
 
 def filter_one(name: str, scenario: str) -> None:

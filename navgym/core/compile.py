@@ -1,8 +1,8 @@
 """How kernels are compiled: four decorators, one cache policy.
 
-`kernel` compiles a function that Python calls, or that several kernels call; its compiled code is
-cached on disk. `part` compiles a function that only kernels call, `sums` one that adds up many
-numbers. They take whole records, ordinary arrays and scalars: numba passes the fixed-size arrays inside a record slowly across a
+`kernel` compiles a function that Python calls; its compiled code is cached on disk. `part` compiles
+a function that only kernels call, `sums` one that adds up many numbers (see `parts`). They take whole
+records, ordinary arrays and scalars: numba passes the fixed-size arrays inside a record slowly across a
 call. A helper that takes such an array is marked `inline`, is pasted into its caller, and is kept
 to a few lines, since pasting costs compile time.
 
@@ -30,6 +30,7 @@ import numba
 import numpy as np
 
 from navgym.core.kernel_cache import cache_of
+from navgym.core.parts import Kernel, Part
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -107,7 +108,7 @@ def kernel(function: Function) -> Function:
     if _PLAIN:
         return _interpreted(function)
     function.__qualname__ += f"-{_fingerprint(inspect.getfile(function))}"
-    compiled: Any = numba.njit(error_model="numpy", nogil=True)(function)
+    compiled: Any = Kernel(function)
     compiled._cache = cache_of(function)
     return cast(Function, compiled)
 
@@ -131,8 +132,7 @@ def part(function: Function) -> Function:
     """Compile `function` into the kernels that call it."""
     if _PLAIN:
         return _lenient(function)
-    compiled: Any = numba.njit(error_model="numpy", nogil=True, forceinline=True)(function)
-    return cast(Function, compiled)
+    return cast(Function, Part(function))
 
 
 def sums(function: Function) -> Function:
@@ -143,10 +143,7 @@ def sums(function: Function) -> Function:
     """
     if _PLAIN:
         return _lenient(function)
-    compiled: Any = numba.njit(
-        error_model="numpy", nogil=True, forceinline=True, fastmath={"reassoc"}
-    )(function)
-    return cast(Function, compiled)
+    return cast(Function, Part(function, fastmath={"reassoc"}))
 
 
 def inline(function: Function) -> Function:

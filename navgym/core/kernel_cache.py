@@ -31,7 +31,7 @@ QUIET = "NAVGYM_QUIET"  # environment variable: anything but empty or 0 keeps th
 VARIABLE = "NUMBA_CACHE_DIR"
 REMEDY = f"set {VARIABLE} to a folder that only you can write to, such as ~/.cache/navgym"
 COMPILING = (
-    "compiling kernels for this machine, once: some 10 to 30 s per filter, later starts are quick "
+    "compiling kernels for this machine, once: some 5 to 20 s per filter, later starts are quick "
     "(navgym warm compiles all now)"
 )
 
@@ -245,7 +245,7 @@ class NoCache(caching.NullCache):
         say(
             UNKEPT,
             f"compiled kernels cannot be kept ({self.reason}): they compile anew in each process, "
-            f"some 10 to 30 s per filter. Better {REMEDY}",
+            f"some 5 to 20 s per filter. Better {REMEDY}",
         )
 
 

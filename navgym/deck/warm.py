@@ -16,14 +16,16 @@ SCENARIO = "deck/paper"
 Job = tuple[str, Callable[[], Any]]
 
 
-def kernels() -> list[Job]:
-    """What there is to compile: a name, and what compiles it."""
+def kernels() -> list[list[Job]]:
+    """What there is to compile: groups of a name, and what compiles it."""
     return [
-        ("deck bank", hypothesise),
-        ("deck environment", partial(play, SCENARIO)),
-        ("live deck filter", partial(stream, SCENARIO)),
-        ("alignment", align),
-        ("identification", identify),
+        [
+            ("deck environment", partial(play, SCENARIO)),
+            ("live deck filter", partial(stream, SCENARIO)),
+            ("alignment", align),
+            ("identification", identify),
+        ],
+        [("deck bank", hypothesise)],
     ]
 
 

@@ -15,12 +15,14 @@ SCENARIO = "ins/nominal"
 Job = tuple[str, Callable[[], Any]]
 
 
-def kernels() -> list[Job]:
-    """What there is to compile: a name, and what compiles it."""
+def kernels() -> list[list[Job]]:
+    """What there is to compile: groups of a name, and what compiles it."""
     return [
-        ("INS environment", partial(play, SCENARIO)),
-        ("INS filters", navigate),
-        ("live INS filter", partial(stream, SCENARIO)),
+        [
+            ("INS environment", partial(play, SCENARIO)),
+            ("INS filters", navigate),
+            ("live INS filter", partial(stream, SCENARIO)),
+        ]
     ]
 
 

@@ -1,8 +1,9 @@
 """The cache policy of compiled kernels: an edit of any file that a kernel reaches renames it."""
 
+import numpy as np
 import pytest
 
-from navgym.core.compile import _content, _fingerprint, _kernel_files
+from navgym.core.compile import _content, _fingerprint, _kernel_files, kernel, part
 
 KERNELS = "from navgym.core.compile import part\n"
 IMPORTS = {
@@ -87,3 +88,43 @@ def test_a_package_of_ones_own_is_followed_too(tmp_path, package):
     before = own()
     edit(mine / "parts.py")
     assert own() != before
+
+
+@part
+def twice(x):
+    return 2.0 * x
+
+
+@kernel
+def plus_one(x):
+    return twice(x) + 1.0
+
+
+@kernel
+def sum_of(numbers):
+    total = 0.0
+    for x in numbers:
+        total += plus_one(x)
+    return total
+
+
+def test_a_kernel_calls_parts_and_other_kernels():
+    assert sum_of(np.array([1.0, 2.0])) == 8.0
+    assert plus_one(3.0) == 7.0
+
+
+def test_only_what_python_calls_becomes_machine_code():
+    sum_of.recompile()
+    sum_of(np.array([1.0, 2.0]))
+    parts = [found for f in (twice, plus_one._part) for found in f.overloads.values()]
+    assert len(parts) == 2
+    engine = parts[0].library.codegen._engine
+    assert [engine.get_function_address(p.fndesc.mangled_name) for p in parts] == [0, 0]
+    assert all(
+        engine.get_function_address(k.fndesc.mangled_name) for k in sum_of.overloads.values()
+    )
+
+
+def test_a_part_called_by_python_says_what_it_is():
+    with pytest.raises(TypeError, match="twice is part of kernels"):
+        twice(1.0)

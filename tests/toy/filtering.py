@@ -146,11 +146,13 @@ def nees(batch: WalkBatch, found: Run) -> Any:
 # ---- compiling
 
 
-def warm() -> list[tuple[str, Callable[[], Any]]]:
+def warm() -> list[list[tuple[str, Callable[[], Any]]]]:
     """What touches every kernel once."""
     walk = partial(navgym.simulate, "toy/calm", steps=5)
     return [
-        ("toy environment", partial(play, "toy/calm")),
-        ("live toy filter", partial(stream, "toy/calm")),
-        ("toy filter", lambda: navgym.estimate("walk_kf", walk())),
+        [
+            ("toy environment", partial(play, "toy/calm")),
+            ("live toy filter", partial(stream, "toy/calm")),
+            ("toy filter", lambda: navgym.estimate("walk_kf", walk())),
+        ]
     ]
