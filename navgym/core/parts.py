@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler import Compiler, CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import LoweringPass, PassManager, register_pass
 from numba.core.registry import CPUDispatcher
 from numba.core.typed_passes import AnnotateTypes, NativeLowering
@@ -37,6 +37,14 @@ class _Language(JITCodeLibrary):
         """Left to the kernel, but for what tells it whether it may be cached."""
         self._finalize_dynamic_globals()
         self._finalized = True
+
+
+class _Packed(JITCodeLibrary):
+    """A kernel in whose straight lines neighbouring numbers share vector instructions."""
+
+    def _optimize_final_module(self) -> None:
+        passes, builder = self._codegen._module_pass_manager(slp_vectorize=True)
+        passes.run(self._final_module, builder)
 
 
 @register_pass(mutates_CFG=False, analysis_only=True)
@@ -73,7 +81,23 @@ class _Offer(LoweringPass):
         return False
 
 
-class _Compiler(CompilerBase):
+@register_pass(mutates_CFG=False, analysis_only=True)
+class _Pack(LoweringPass):
+    """Before it is lowered: where a packed kernel's code goes."""
+
+    _name = "navgym_pack"
+
+    def __init__(self) -> None:
+        super().__init__()
+
+    def run_pass(self, state: Any) -> bool:
+        """Set the library, kept for the cache as numba's own is."""
+        state.library = _Packed(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library.enable_object_caching()
+        return False
+
+
+class _PartCompiler(CompilerBase):
     """Numba's own, with the two passes around its lowering."""
 
     def define_pipelines(self) -> list[PassManager]:
@@ -85,16 +109,33 @@ class _Compiler(CompilerBase):
         return [passes]
 
 
+class _PackedCompiler(CompilerBase):
+    """Numba's own, with another library."""
+
+    def define_pipelines(self) -> list[PassManager]:
+        """The passes, in order."""
+        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        passes.add_pass_after(_Pack, AnnotateTypes)
+        passes.finalize()
+        return [passes]
+
+
 class Part(CPUDispatcher):
     """A function that kernels call. From Python it can't be called: TypeError.
 
     Args:
-        function: its Python form.
-        options: numba's, beside those that every part has.
+        py_func: its Python form.
+        locals: as numba has it.
+        targetoptions: beside those that every part has.
     """
 
-    def __init__(self, function: Callable[..., Any], **options: Any) -> None:
-        super().__init__(function, targetoptions=_PART | options, pipeline_class=_Compiler)
+    def __init__(
+        self,
+        py_func: Callable[..., Any],
+        locals: dict[str, Any] | None = None,  # noqa: A002 - numba's names, by which it unpickles
+        targetoptions: dict[str, Any] | None = None,
+    ) -> None:
+        super().__init__(py_func, locals, _PART | (targetoptions or {}), _PartCompiler)
 
     def add_overload(self, cres: Any) -> None:
         """Keep what was compiled for some types."""
@@ -109,12 +150,22 @@ class Kernel(CPUDispatcher):
     """A function that Python calls. A kernel that calls it takes it in as a part.
 
     Args:
-        function: its Python form.
+        py_func: its Python form.
+        locals: as numba has it.
+        targetoptions: beside those that every kernel has.
+        packed: see `compile.packed`. An unpickled kernel is not: it gives the same digits.
     """
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        super().__init__(function, targetoptions=dict(_KERNEL))
-        self._part = Part(function)
+    def __init__(
+        self,
+        py_func: Callable[..., Any],
+        locals: dict[str, Any] | None = None,  # noqa: A002 - numba's names, by which it unpickles
+        targetoptions: dict[str, Any] | None = None,
+        packed: bool = False,
+    ) -> None:
+        compiler = _PackedCompiler if packed else Compiler
+        super().__init__(py_func, locals, _KERNEL | (targetoptions or {}), compiler)
+        self._part = Part(py_func)
 
     def compile(self, sig: Any) -> Any:
         """Compile for some types, or load what was compiled; returns the function.

@@ -20,7 +20,7 @@ import math
 
 import numpy as np
 
-from navgym.core.compile import kernel, part
+from navgym.core.compile import packed, part
 from navgym.core.health import NUMERICAL
 from navgym.deck import alignment, joint
 from navgym.deck.alignment import MEASUREMENTS, PROCESS, VELOCITY
@@ -318,7 +318,7 @@ def keep_after(lane, memory, kind):
     update.copy(memory.P, lane.P)
 
 
-@kernel
+@packed
 def run(
     lanes, models, kinds, tapes, first, table, interval, impulse, left, disturbance,
     outputs, reports, covariances, chances, lagged, memories,

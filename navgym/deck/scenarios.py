@@ -163,7 +163,7 @@ class DeckScenario:
         known = [f.name for f in dataclasses.fields(self)]
         for name in fields:
             one_of("scenario field", name, known)
-        return dataclasses.replace(self, **fields)
+        return dataclasses.replace(self, **fields) if fields else self
 
     @property
     def samples(self) -> int:

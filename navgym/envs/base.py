@@ -83,6 +83,7 @@ class LaneEngine:
         self.count = positive_int("num_envs", lanes)
         self._scenarios = self._find_scenarios()
         self.reference = self._reference_of(self._scenarios[0])
+        self._references = [self._row(self._reference_of(s)) for s in self._scenarios]
         self._regimes = self._count_regimes()
         self._generators: list[np.random.Generator] = [
             np.random.default_rng() for _ in range(lanes)
@@ -190,7 +191,7 @@ class LaneEngine:
         if self._shared is not None:
             rows = self._shared.stations["row"]
         else:
-            rows = np.stack([self._row(self._reference_of(s)) for s in self._scenarios])
+            rows = np.stack(self._references)
         return bool((rows == self._row(self.reference)).all())
 
     def _start_of(self, row: Array) -> Array:
@@ -272,8 +273,8 @@ class LaneEngine:
             return None
         each = -(-self.settings.pool // len(self._scenarios))
         drawn = [
-            (r, self._row(self._reference_of(s)))
-            for s in self._scenarios
+            (r, row)
+            for s, row in zip(self._scenarios, self._references, strict=True)
             for r in simulate_many(s, seeds(self.settings.split, each))
         ][: self.settings.pool]
         return self.prepare([r for r, _ in drawn], [row for _, row in drawn])
@@ -281,9 +282,9 @@ class LaneEngine:
     def _draw(self, rng: np.random.Generator) -> tuple[Any, Array]:
         """A new recording made with numbers from `rng`, and its reference parameters."""
         first = seeds(self.settings.split, 1)[0]
-        scenario = self._scenarios[int(rng.integers(len(self._scenarios)))]
-        recording = simulate_many(scenario, [first + int(rng.integers(SIZE))])[0]
-        return recording, self._row(self._reference_of(scenario))
+        which = int(rng.integers(len(self._scenarios)))
+        seed = first + int(rng.integers(SIZE))
+        return simulate_many(self._scenarios[which], [seed])[0], self._references[which]
 
     # ---- life of a lane -------------------------------------------------------------
 
@@ -356,7 +357,7 @@ class LaneEngine:
         if self._centres is not None:
             self._actions[...] = np.clip(self._actions, -1.0, 1.0) + self._centres
         out = self._outcomes
-        out[...] = 0.0
+        out.fill(0.0)
         arguments = (*self._world, obs, out, self.trail)
         if self._decide is None:
             self._decide = entry(self.kernel, arguments)

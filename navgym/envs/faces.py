@@ -306,7 +306,7 @@ class LaneVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
 
 def known(names: Sequence[str], values: Sequence[float]) -> dict[str, float]:
     """A lane's information by name, without what is NaN: not known."""
-    found = dict(zip(names, values, strict=True))
+    found = dict(zip(names, values))  # noqa: B905 - of one engine; a check doubles the cost
     if not math.isnan(sum(values)):  # one look instead of one per value
         return found
     return {name: value for name, value in found.items() if not math.isnan(value)}

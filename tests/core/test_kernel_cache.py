@@ -28,7 +28,7 @@ def eight_times(x):
 """
 
 
-USE = "print(small.eight_times(3.0))"
+USE = "print(small.twice(small.eight_times(1.5)))"
 
 
 class Place:
@@ -82,7 +82,7 @@ def place(tmp_path):
 def test_the_first_use_says_in_one_line_how_long_it_takes_and_later_ones_nothing(place):
     said = place.run()
     assert said.count("\n") == 1
-    assert "compiling kernels for this machine, once: some 10 to 30 s per filter" in said
+    assert "compiling kernels for this machine, once: some 5 to 20 s per filter" in said
     assert len(place.files("nbc")) == 2
     assert place.run() == ""
 

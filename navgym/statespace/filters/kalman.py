@@ -8,6 +8,7 @@ uses the parabola through the last three with its true variance (`lane.fill_corr
 
 from __future__ import annotations
 
+import functools
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 SKIP, EXTRAPOLATE, HOLD, ZERO = 0, 1, 2, 3
 
 
+@functools.cache
 def lane_type(n: int, m: int) -> np.dtype[Any]:
     """Record of one Kalman filter lane."""
     return np.dtype(fields(n, m))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from navgym.core.checks import Array
 from navgym.core.compile import inline, part
 from navgym.core.health import NUMERICAL, POWER_MEMORY, RUNAWAY
-from navgym.core.linalg import correct, innovate, joseph, observe_vector
+from navgym.core.linalg import correct_state, innovate, joseph, observe_vector
 from navgym.core.sizes import sample_size, state_size
 from navgym.statespace.batch import StateSpaceBatch, outputs
 
@@ -245,7 +245,7 @@ def kalman_correct(lane, model):
 @part
 def apply_innovation(lane, model):
     """The update, in Joseph form, by what `innovate` or `expect` left in the lane."""
-    correct(lane)
+    correct_state(lane)
     joseph(lane, model)
 
 

@@ -8,6 +8,7 @@ sample is predicted, or filled by the parabola through the last three received s
 
 from __future__ import annotations
 
+import functools
 import math
 import sys
 from typing import TYPE_CHECKING, Any
@@ -66,6 +67,7 @@ EXTRAPOLATE = 1
 SWEEPS, TAU, RHO, COUNT0, SCALE0, PROCESS, FILL, INFLATION = range(8)
 
 
+@functools.cache
 def lane_type(n: int, m: int) -> np.dtype[Any]:
     """Record of one variational-Bayes filter lane."""
     f8 = np.float64
