@@ -104,9 +104,9 @@ class Intake:
     def _checked_time(self, time: float | Decimal | None) -> float | Decimal:
         if time is None:
             return (0.0 if self.time is None else float(self.time)) + self.interval
-        usual = type(time) is float and type(self.time) is float
-        if usual and abs(time - self.time - self.interval) <= LATE * self.interval:
-            return time
+        last, late = self.time, LATE * self.interval
+        if type(time) is float and type(last) is float and abs(time - last - self.interval) <= late:
+            return time  # as most are
         now = checked_time(time)
         if self.time is None:
             return now

@@ -93,7 +93,11 @@ def sampler_of(
         )
     if name == "gp":
         return _gaussian_process(words)
-    usual = {"seed": words, "multivariate": True, "n_startup_trials": STARTUP_TRIALS}
+    usual: dict[str, Any] = {
+        "seed": words,
+        "multivariate": True,
+        "n_startup_trials": STARTUP_TRIALS,
+    }
     return optuna.samplers.TPESampler(**usual) if space is None else _TreeSampler(space, **usual)
 
 
