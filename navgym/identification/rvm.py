@@ -29,13 +29,22 @@ FIRST = 50  # basis functions to begin with
 
 def gaussian(x: Array, z: Array, scale: float) -> Array:
     """(N, M) exp(−|x − z|² / scale²), for x (N, D) and z (M, D); `scale` as in Tipping (2001)."""
-    exponent = np.zeros((len(x), len(z)))
-    for a, b in zip(x.T, z.T, strict=True):
-        distance = np.subtract.outer(a, b)
-        distance /= scale  # in place: to have a new page of memory takes longer than to fill it
-        distance *= distance
-        exponent -= distance
-    return np.asarray(np.exp(exponent, out=exponent))
+    first, *others = (_squares(a, b, scale) for a, b in zip(x.T, z.T, strict=True))
+    for squares in others:
+        first += squares
+    np.negative(first, out=first)
+    return np.asarray(np.exp(first, out=first))
+
+
+def _squares(a: Array, b: Array, scale: float) -> Array:
+    """(N, M) squared distances in one dimension.
+
+    In place: to have a new page of memory takes longer than to fill it.
+    """
+    distance = np.subtract.outer(a, b)
+    distance /= scale
+    distance *= distance
+    return distance
 
 
 def spline(x: Array, z: Array) -> Array:
