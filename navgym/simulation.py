@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from navgym.core.checks import one_of
-from navgym.problem import problem_of, problems
+from navgym.problem import PROBLEMS, problem_of, problems
 
 
 def scenarios() -> dict[str, str]:
@@ -22,8 +22,10 @@ def find_scenario(name: Any, /, **overrides: Any) -> Any:
     if not isinstance(name, str):
         problem_of(name)  # says what is wrong with something else
         return name.override(**overrides)
-    own = one_of("scenario", name, scenarios()).partition("/")[2]
-    return problem_of(name).scenarios[own].override(**overrides)
+    problem, _, own = name.partition("/")
+    if problem not in PROBLEMS or own not in PROBLEMS[problem].scenarios:
+        one_of("scenario", name, scenarios())  # loads every problem, for the nearest name
+    return PROBLEMS[problem].scenarios[own].override(**overrides)
 
 
 def simulate(scenario: Any, seed: int = 0, steps: int | None = None, **overrides: Any) -> Any:

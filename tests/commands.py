@@ -8,7 +8,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 # what no plain `pip install navgym` brings
 EXTRAS = (
-    "tyro", "optuna", "cmaes", "tqdm", "matplotlib", "jinja2", "tomli_w", "sklearn", "mealpy",
+    "tyro", "optuna", "cmaes", "tqdm", "matplotlib", "jinja2", "tomli_w", "sklearn",
     "torch", "stable_baselines3", "tensorboard", "distributed", "psycopg",
 )  # fmt: skip
 

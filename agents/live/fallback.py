@@ -171,7 +171,7 @@ class Guard:
 
     def _out_of_range(self, observation: NDArray[np.float32]) -> str | None:
         outside = (observation < self._low) | (observation > self._high)
-        if not outside.any() or (self._compares and self._keeps_up()):
+        if not np.count_nonzero(outside) or (self._compares and self._keeps_up()):
             return None
         i = int(np.argmax(outside))
         low, high = (float(bound[i]) for bound in self._trained)
@@ -182,13 +182,13 @@ class Guard:
 
     def _keeps_up(self) -> bool:
         """Whether the policy has foretold a full window at least as well as the reference."""
-        total = self._past.sum(axis=0)
+        total = np.add.reduce(self._past)
         return self._count >= self.rule.window and bool(total[SCORE] >= total[REFERENCE_SCORE])
 
     def _inconsistent(self) -> str | None:
         if self._count < self.rule.window:
             return None
-        total = self._past.sum(axis=0).tolist()
+        total = np.add.reduce(self._past).tolist()
         dof = round(total[FREEDOM])
         nis, (low, high) = total[NIS_SUM], self._band[dof]
         behind = total[REFERENCE_SCORE] - total[SCORE]

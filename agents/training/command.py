@@ -17,7 +17,7 @@ from navgym.tuning.commands.parse import parse as parsed
 
 ABOUT = """Train a policy that sets a filter's parameters while it runs.
 
-    navgym train                      a specialist for auv/switch-D, in a minute or two
+    navgym train                      a specialist for auv/switch-D, in half a minute
     navgym train deck --seed 1        another preset, and any option below
     navgym train runs/mine/config.toml --decisions 2000000
     navgym train auv --search 20      tune the agent's own hyper-parameters with Optuna

@@ -154,7 +154,7 @@ class Configuration:
     """what conditions are drawn from, where not from the problem's usual ranges, as JSON"""
     algorithm: Algorithm = "ppo"
     """tqc and recurrent_ppo need sb3-contrib"""
-    decisions: int = 1_000_000
+    decisions: int = 450_000
     """to train for"""
     lanes: int = 128
     """filters that run side by side"""

@@ -40,12 +40,14 @@ class LinearIntake:
     _sample: NDArray[Any]  # (1,) record of y, lost and time
     _y: Array
     _lost: NDArray[Any]
+    _clock: Array  # (1,) time in `_sample`
 
     def __init__(self, model: Model, interval: float | None = None) -> None:
         self._interval = 1.0 if interval is None else within("interval", interval, 0.0, above=True)
         self._made = None if isinstance(model, LinearModel) else _checked_maker(model)
         self.model = linear(model if self._made is None else self._made(self._interval))
         self._packed = self.model.pack()
+        self._ones = np.ones(self.model.m)  # times a measurement: a number if that is whole
         known = self._made is None and self.model.dt is not None
         self._steps: list[float] = np.ravel(self.model.dt).tolist() if known else []
 
@@ -61,14 +63,15 @@ class LinearIntake:
 
     def put(self, measurement: Any, lost: Any = None, time: float | Decimal | None = None) -> None:
         """Take in one sample; see `agents.SelfTuningFilter.step`."""
-        y = self._checked(measurement)
+        y, whole = self._checked(measurement)
         if lost is not None:
             y[flags(lost, y.shape)] = np.nan
+            whole = math.isfinite(y.dot(self._ones))
         now, step = self._timed(time)
         self._follow(step, now)
         self._y[...] = y
-        self._lost[...] = 0 if math.isfinite(y.sum()) else np.isnan(y)
-        self._sample["time"][0] = self._elapsed = self._since_origin(now, step)
+        self._lost[...] = 0 if whole else np.isnan(y)
+        self._clock[0] = self._elapsed = self._since_origin(now, step)
         self.time = now
         self._waiting = True
 
@@ -78,8 +81,8 @@ class LinearIntake:
         for y, time in zip(recording.measurements, recording.time.tolist(), strict=True):
             yield y, time, {}
 
-    def _checked(self, measurement: Any) -> Array:
-        """The measurement as (m,) floats of its own; ValueError where it is none."""
+    def _checked(self, measurement: Any) -> tuple[Array, bool]:
+        """The measurement as (m,) floats of its own, and whether it is whole; ValueError for none."""
         if type(measurement) is np.ndarray and measurement.dtype == np.float64:
             y = measurement.copy()  # a subclass may mean more, such as a mask
         else:
@@ -90,15 +93,18 @@ class LinearIntake:
                 f"measurement must have shape ({m},), a number per row of the model's H, got "
                 f"{y.shape}: pass NaN where a component was lost."
             )
-        if not math.isfinite(y.sum()) and np.isinf(y).any():
+        whole = math.isfinite(y.dot(self._ones))
+        if not whole and np.isinf(y).any():
             raise ValueError(f"measurement must be finite or NaN, got {y}: mark it as lost.")
-        return y
+        return y, whole
 
     def _timed(self, time: float | Decimal | None) -> tuple[float | Decimal, float]:
         """Time of the sample, and the step to it, s; ValueError for one that is not after the last."""
         if time is None:
             step = self._usual()
             return (0.0 if self.time is None else float(self.time)) + step, step
+        if type(time) is float and type(self.time) is float and self.time < time < math.inf:
+            return time, time - self.time  # as most are
         now = checked_time(time)
         if self.time is None:
             return now, self._usual()

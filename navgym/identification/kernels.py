@@ -74,29 +74,28 @@ def statistics(m, beta, G, t, L, w, V, S, Q):
         S[n] = beta
         Q[n] = beta * t[n]
     for i in range(m):
+        row, given, pivot, weight = V[i], G[i], L[i, i], beta**2 * w[i]
         for n in range(len(t)):
-            V[i, n] = G[i, n]
+            row[n] = given[n]
         for j in range(i):
-            factor = L[i, j]
+            factor, other = L[i, j], V[j]
             for n in range(len(t)):
-                V[i, n] -= factor * V[j, n]
+                row[n] -= factor * other[n]
         for n in range(len(t)):
-            V[i, n] /= L[i, i]
-            S[n] -= (beta * V[i, n]) ** 2
-            Q[n] -= beta**2 * w[i] * V[i, n]
+            v = row[n] / pivot
+            row[n] = v
+            S[n] -= (beta * v) ** 2
+            Q[n] -= weight * v
 
 
 @part
 def best_addition(beta, slot, S, Q):
     """The function outside the model whose entry raises the evidence most: (gain, which)."""
-    gain, best = 0.0, -1
-    for n in range(len(S)):
-        if slot[n] < 0 and S[n] > COLLINEAR * beta and Q[n] ** 2 > S[n]:
-            ratio = Q[n] ** 2 / S[n]
-            g = 0.5 * (ratio - 1.0 - np.log(ratio))
-            if g > gain:
-                gain, best = g, n
-    return gain, best
+    largest, best = 1.0, -1
+    for n in range(len(S)):  # the gain rises with the ratio: one logarithm will do
+        if Q[n] ** 2 > largest * S[n] and slot[n] < 0 and S[n] > COLLINEAR * beta:
+            largest, best = Q[n] ** 2 / S[n], n
+    return 0.5 * (largest - 1.0 - np.log(largest)), best
 
 
 @part
@@ -129,56 +128,83 @@ def best_change(m, alpha, mean, variance, least):
 
 @part
 def log_evidence(m, alpha, beta, free, L, mean, error):
-    """Log p(y | α, β), given the `error` of the posterior mean; y has `free` degrees of freedom."""
+    """Log p(y | α, β), given the `error` of the posterior mean, and the sum of the error's squares.
+
+    y has `free` degrees of freedom.
+    """
+    squares = 0.0
     total = free * np.log(beta / (2.0 * np.pi))
     for i in range(m):
         total += np.log(alpha[i]) - 2.0 * np.log(L[i, i]) - alpha[i] * mean[i] ** 2
     for k in range(len(error)):
         total -= beta * error[k] ** 2
-    return 0.5 * total
+        squares += error[k] ** 2  # of the same passage: each sum waits for its own terms
+    return 0.5 * total, squares
 
 
 @part
-def residual(m, active, mean, B, y, error):
+def residual(m, mean, B, y, error):
     """y less the model's prediction."""
     error[:] = y
     for i in range(m):
+        weight, function = mean[i], B[i]
         for k in range(len(y)):
-            error[k] -= mean[i] * B[active[i], k]
+            error[k] -= weight * function[k]
 
 
 @part
-def drop(place, m, active, alpha, slot, G):
+def drop(place, m, active, alpha, slot, B, G):
     """Take one function out of the model, the last one into its place; returns how many are left."""
     m -= 1
     slot[active[place]] = -1
     if place < m:
         active[place], alpha[place] = active[m], alpha[m]
         slot[active[m]] = place
-        G[place] = G[m]
+        B[place], G[place] = B[m], G[m]
     return m
 
 
 @part
-def noise_precision(m, alpha, variance, free, error, most):
+def noise_precision(m, alpha, variance, free, squares, most):
     """β of the noise by IDAM eq. 32, with γᵢ = 1 − αᵢΣᵢᵢ and N the `free` degrees of freedom."""
     left = float(free - m)
     for i in range(m):
         left += alpha[i] * variance[i]
-    return min(most, max(left, 1e-3) / max(np.sum(error**2), 1e-300))
+    return min(most, max(left, 1e-3) / max(squares, 1e-300))
 
 
 @part
-def project(D, b, product):
-    """Product of every function (a column of D) with b: BLAS would start threads for each."""
-    product[:] = 0.0
-    for k in range(len(b)):
-        for n in range(len(product)):
-            product[n] += b[k] * D[k, n]
+def project(D, B, products):
+    """Products of every function (a column of D) with each row of B, in one passage over D.
+
+    D is read from memory, which is what takes time; BLAS would start threads for each product.
+    """
+    products[:] = 0.0
+    for k in range(len(D)):
+        row = D[k]
+        for i in range(len(B)):
+            b, product = B[i, k], products[i]
+            for n in range(len(row)):
+                product[n] += b * row[n]
+
+
+@part
+def among(m, active, B, G):
+    """Products of the relevant functions with each other alone, into their places in G."""
+    P = np.zeros((m, m))
+    for k in range(B.shape[1]):
+        column = B[:m, k].copy()
+        for i in range(m):
+            b, products = column[i], P[i]
+            for j in range(i + 1):
+                products[j] += b * column[j]
+    for i in range(m):
+        for j in range(i + 1):
+            G[i, active[j]] = G[j, active[i]] = P[i, j]
 
 
 @kernel
-def fast_marginal_likelihood(B, D, y, free, first, beta, learn, most, tolerance, limit):
+def fast_marginal_likelihood(D, y, free, first, beta, learn, most, tolerance, limit):
     """Sparse Bayesian regression of y on basis functions of unit length.
 
     Adding functions one by one to an empty model often ends in a poor local optimum: with the noise
@@ -187,8 +213,7 @@ def fast_marginal_likelihood(B, D, y, free, first, beta, learn, most, tolerance,
     are not needed have left. Only then does the greedy search begin.
 
     Args:
-        B: (M, N) basis functions, one a row, each with Σ B² = 1.
-        D: (N, M) the same, transposed in memory.
+        D: (N, M) basis functions, one a column, each with Σ D² = 1.
         y: (N,) targets.
         free: degrees of freedom of y: N, or N − 1 where its mean was taken off it and off B.
         first: (K,) functions to begin with, at most min(M, free).
@@ -202,33 +227,34 @@ def fast_marginal_likelihood(B, D, y, free, first, beta, learn, most, tolerance,
         active (m,), alpha (m,), mean (m,), U = L⁻¹ (m, m) with Σ = UᵀU, beta, the log evidence
         after each step (steps,), and whether it converged.
     """
-    M, N = B.shape
+    N, M = D.shape
     room = min(M, free) + 1
     active, slot = np.empty(room, np.int64), np.full(M, -1)
     alpha, mean, variance, w = np.empty(room), np.empty(room), np.empty(room), np.empty(room)
-    H, L, U = np.empty((room, room)), np.empty((room, room)), np.zeros((room, room))
-    G, V = np.empty((room, M)), np.empty((room, M))
+    H, L, U = np.empty((room, room)), np.empty((room, room)), np.empty((room, room))
+    B, G, V = np.empty((room, N)), np.empty((room, M)), np.empty((room, M))
     S, Q, error, trace = np.empty(M), np.empty(M), np.empty(N), np.empty(limit)
     t = np.empty(M)
-    project(D, y, t)
+    project(D, y.reshape(1, N), t.reshape(1, M))
     m, steps, converged, together = len(first), 0, False, True
     highest, since = -np.inf, 0
     for i in range(m):
         active[i], slot[first[i]] = first[i], i
         alpha[i] = max(SPREAD, LEAST * beta)
-        for j in range(i + 1):  # the first phase needs no products with other functions
-            G[i, first[j]] = G[j, first[i]] = np.sum(B[first[i]] * B[first[j]])
+        B[i] = D[:, first[i]]
+    among(m, active, B, G)  # the first phase needs no products with other functions
     while True:
         posterior(m, active, alpha, beta, G, t, H, L, U, w, mean, variance)
-        residual(m, active, mean, B, y, error)
+        residual(m, mean, B, y, error)
+        evidence, squares = log_evidence(m, alpha, beta, free, L, mean, error)
         if steps > 0:
-            trace[steps - 1] = log_evidence(m, alpha, beta, free, L, mean, error)
+            trace[steps - 1] = evidence
             if trace[steps - 1] > highest + LEAST_GAIN:
                 highest, since = trace[steps - 1], steps
         if steps == limit or converged:
             break
         steps += 1
-        fresh = noise_precision(m, alpha, variance, free, error, most) if learn else beta
+        fresh = noise_precision(m, alpha, variance, free, squares, most) if learn else beta
         change = abs(np.log(fresh / beta))
         if together:
             largest = 0.0
@@ -238,12 +264,11 @@ def fast_marginal_likelihood(B, D, y, free, first, beta, learn, most, tolerance,
                 largest = max(largest, abs(np.log(new / alpha[i])))
                 alpha[i] = new
                 if new > PRUNE * fresh:
-                    m = drop(i, m, active, alpha, slot, G)
+                    m = drop(i, m, active, alpha, slot, B, G)
             together = largest > SETTLED and steps < TOGETHER
             beta = fresh
             if not together:
-                for i in range(m):
-                    project(D, B[active[i]], G[i])
+                project(D, B[:m], G[:m])
             continue
         statistics(m, beta, G, t, L, w, V, S, Q)
         gain, which = best_addition(beta, slot, S, Q)
@@ -256,14 +281,15 @@ def fast_marginal_likelihood(B, D, y, free, first, beta, learn, most, tolerance,
         if gain > other and gain >= LEAST_GAIN and not full:
             active[m], slot[which] = which, m
             alpha[m] = max(S[which] ** 2 / (Q[which] ** 2 - S[which]), LEAST * beta)
-            project(D, B[which], G[m])
+            B[m] = D[:, which]
+            project(D, B[m : m + 1], G[m : m + 1])
             m += 1
         elif place >= 0 and new < np.inf:
             alpha[place] = new
         elif place >= 0:
-            m = drop(place, m, active, alpha, slot, G)
+            m = drop(place, m, active, alpha, slot, B, G)
         beta = fresh
     return (
-        active[:m].copy(), alpha[:m].copy(), mean[:m].copy(), U[:m, :m].copy(), beta,
+        active[:m].copy(), alpha[:m].copy(), mean[:m].copy(), np.tril(U[:m, :m]), beta,
         trace[:steps].copy(), converged,
     )  # fmt: skip

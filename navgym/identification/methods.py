@@ -7,13 +7,13 @@ same fit: a regressor of the autocorrelation (IDAM section 3.2) does not know μ
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from navgym.core.checks import Array, positive_int, within
-from navgym.identification import shape
+from navgym.identification import search, shape
 from navgym.identification.correlation import LEAST_LAGS, Correlation
 from navgym.identification.rvm import RVM
 
@@ -135,7 +135,7 @@ def whale(
         population: number of whales.
         epochs: number of generations.
     """
-    return _searched(data, axis, "WOA", "OriginalWOA", seed, population, epochs)
+    return _searched(search.whale, data, axis, seed, population, epochs)
 
 
 def swarm(
@@ -150,17 +150,18 @@ def swarm(
         population: number of particles.
         epochs: number of generations.
     """
-    return _searched(data, axis, "PSO", "OriginalPSO", seed, population, epochs)
+    return _searched(search.swarm, data, axis, seed, population, epochs)
 
 
 def _searched(
-    data: Correlation, axis: int, module: str, name: str, seed: int, population: int, epochs: int
+    method: Callable[..., tuple[Array, float]],
+    data: Correlation,
+    axis: int,
+    seed: int,
+    population: int,
+    epochs: int,
 ) -> Found:
-    """Least squares over (ln ζ, ln b, ln σ) by an optimiser of mealpy."""
-    try:
-        import mealpy
-    except ImportError:
-        raise ImportError(f"methods 'whale' and 'swarm' need mealpy: {EXTRA}.") from None
+    """Least squares over (ln ζ, ln b, ln σ) by a search."""
     positive_int("seed", seed, 0)
     positive_int("population", population, 5)
     positive_int("epochs", epochs)
@@ -169,20 +170,19 @@ def _searched(
     scale = float(np.mean(values**2))
     low, high = shape.region(data)
 
-    def cost(place: Array) -> float:
-        unit = shape.increment_autocorrelation(place[:2], data.lags, data.step)
-        return float(np.mean((values - (rms * np.exp(place[2])) ** 2 * unit) ** 2)) / scale
+    def cost(places: Array) -> Array:
+        unit = shape.increment_autocorrelation(places[:, :2], data.lags, data.step)
+        error = values - (rms * np.exp(places[:, 2:])) ** 2 * unit
+        return np.asarray(np.mean(error**2, axis=-1) / scale)
 
     # θ̇ has std bσ, so that σ is about rms/(b t0); b ranges over the region. Relative to rms, since
     # whales are drawn to the origin, and the search should not depend on the unit.
-    bounds = mealpy.FloatVar(lb=(*low, np.log(0.25)), ub=(*high, np.log(2.0 / data.step) - low[1]))
-    problem = {"bounds": bounds, "minmax": "min", "obj_func": cost, "log_to": None}
-    optimiser: Any = getattr(getattr(mealpy, module), name)(epoch=epochs, pop_size=population)
-    best = optimiser.solve(problem, seed=seed)
-    place = np.asarray(best.solution, dtype=float)
+    least = np.append(low, np.log(0.25))
+    most = np.append(high, np.log(2.0 / data.step) - low[1])
+    place, left = method(cost, least, most, seed=seed, population=population, epochs=epochs)
     return Found(
         place[:2], values, nearest=shape.fit(data, values), sigma=rms * float(np.exp(place[2])),
-        notes={"cost": float(best.target.fitness)},
+        notes={"cost": left},
     )  # fmt: skip
 
 

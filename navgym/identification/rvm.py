@@ -29,8 +29,22 @@ FIRST = 50  # basis functions to begin with
 
 def gaussian(x: Array, z: Array, scale: float) -> Array:
     """(N, M) exp(−|x − z|² / scale²), for x (N, D) and z (M, D); `scale` as in Tipping (2001)."""
-    squared = sum(((x[:, None, d] - z[None, :, d]) / scale) ** 2 for d in range(x.shape[1]))
-    return np.asarray(np.exp(-squared))
+    first, *others = (_squares(a, b, scale) for a, b in zip(x.T, z.T, strict=True))
+    for squares in others:
+        first += squares
+    np.negative(first, out=first)
+    return np.asarray(np.exp(first, out=first))
+
+
+def _squares(a: Array, b: Array, scale: float) -> Array:
+    """(N, M) squared distances in one dimension.
+
+    In place: to have a new page of memory takes longer than to fill it.
+    """
+    distance = np.subtract.outer(a, b)
+    distance /= scale
+    distance *= distance
+    return distance
 
 
 def spline(x: Array, z: Array) -> Array:
@@ -117,12 +131,11 @@ class RVM:
         design, means = self._centred(self._design(points, points))
         length = np.sqrt(np.einsum("nm,nm->m", design, design))
         length[length == 0.0] = 1.0  # a function that is zero everywhere never becomes relevant
-        design = np.ascontiguousarray(design / length)
+        design /= length
         unit, targets, mean = self._relative(targets)
         free = len(points) - self.bias
         found = _learn(
-            np.ascontiguousarray(design.T), design, targets, free,
-            self._first(free, design.shape[1]),
+            np.ascontiguousarray(design), targets, free, self._first(free, design.shape[1]),
             self._precision(targets, unit), self.noise is None, FINEST**2, self.tolerance,
             self.limit,
         )  # fmt: skip
@@ -246,8 +259,9 @@ class RVM:
             return x
         if not callable(self.kernel):
             with np.errstate(over="ignore", invalid="ignore"):
-                value = gaussian(x, z, self.scale) if self.kernel == "gaussian" else spline(x, z)
-            return real_array(f"kernel {self.kernel!r} of these x (rescale them)", value)
+                if self.kernel == "gaussian":
+                    return gaussian(x, z, self.scale)  # in 0..1 wherever points are
+                return real_array("kernel 'spline' of these x (rescale them)", spline(x, z))
         value = real_array("kernel(x, z)", self.kernel(x, z))
         if value.shape != (len(x), len(z)):
             raise ValueError(

@@ -42,8 +42,11 @@ def increment_autocorrelation(place: Array, lags: Array, step: float) -> Array:
     square = np.where(np.abs(square) < APART, APART, square)
     root = 1j * np.sqrt(square.astype(complex))
     fast, slow = b * (zeta + root), b * (zeta - root)
-    value = fast * _wave(slow, lags, step) - slow * _wave(fast, lags, step)
-    return np.asarray((value / (fast - slow)).real)
+    first = fast * _wave(slow, lags, step)
+    second = first.conj()  # which it is where λ is real: exponentials are most of the time
+    still = square[..., 0] < 0.0
+    second[still] = slow[still] * _wave(fast[still], lags, step)
+    return np.asarray(((first - second) / (fast - slow)).real)
 
 
 def _wave(s: Array, lags: Array, step: float) -> Array:

@@ -32,8 +32,8 @@ def varied(shape):
 
 def options(method):
     """Keywords that make a method quick; skips the test where its library is missing."""
-    if method in {"svr", "whale", "swarm"}:
-        pytest.importorskip("sklearn" if method == "svr" else "mealpy")
+    if method == "svr":
+        pytest.importorskip("sklearn")
     return SEARCH if method in {"whale", "swarm"} else {}
 
 
@@ -144,13 +144,11 @@ def test_the_same_record_gives_the_same_model(method, records):
 
 
 def test_a_search_depends_on_its_seed(records):
-    pytest.importorskip("mealpy")
     one, other = (identify("whale", records[0], 0.5, seed=s, **SEARCH) for s in (1, 2))
     assert not np.array_equal(logarithms(one), logarithms(other))
 
 
 def test_a_swarm_that_searches_long_ends_in_the_least_squares_fit(records):
-    pytest.importorskip("mealpy")
     fit = identify("nls", records[3], 0.5)
     swarm = identify("swarm", records[3], 0.5, population=40, epochs=150)
     assert (swarm.diagnostics["residual"] < 1.02 * fit.diagnostics["residual"]).all()
@@ -368,10 +366,8 @@ def test_white_noise_crashes_nothing(method):
 
 def test_a_library_that_is_missing_is_named_with_its_extra(monkeypatch, records):
     monkeypatch.setitem(__import__("sys").modules, "sklearn.svm", None)
-    monkeypatch.setitem(__import__("sys").modules, "mealpy", None)
-    for method in ("svr", "swarm"):
-        with pytest.raises(ImportError, match=r"navgym\[identification\]"):
-            identify(method, records[0], 0.5)
+    with pytest.raises(ImportError, match=r"navgym\[identification\]"):
+        identify("svr", records[0], 0.5)
 
 
 def swings(runs, seconds, dt, b, zeta, seed=0):

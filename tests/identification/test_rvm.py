@@ -67,7 +67,7 @@ def test_the_kernel_does_what_its_twin_does(seed, learn):
     y = B[3] - 2.0 * B[11] + 0.1 * rng.standard_normal(30)
     first = np.array([0, 11, 20])
     active, alpha, mean, U, beta, trace, converged = fast_marginal_likelihood(
-        B, B.T.copy(), y, 30, first, 100.0, learn, 1e12, 1e-6, 10_000
+        B.T.copy(), y, 30, first, 100.0, learn, 1e12, 1e-6, 10_000
     )
     begun, found = twin.all_together(B, y, first.tolist(), 100.0, learn)
     wanted, found = twin.one_by_one(B, y, begun, found, learn, 1e-6)

@@ -3,6 +3,7 @@
 import functools
 
 import numpy as np
+import optuna
 import pytest
 
 from navgym.metrics.measures import METRICS
@@ -176,3 +177,44 @@ def test_the_estimate_of_a_trial_given_up_never_beats_the_leader():
     errors = [trial.result / Bowls()(trial.values) - 1 for trial in given_up]
     assert np.abs(np.median(errors)) < 0.05
     assert outcome.best.result == METRICS["mean"](Bowls().evaluate(outcome.best.values).losses)
+
+
+def pruned_by_optuna(leader, seen, losses):
+    """What Optuna's pruner says, in a study of the leader and the candidate."""
+
+    def trial(values, result):
+        states = optuna.trial.TrialState
+        state = states.RUNNING if result is None else states.COMPLETE
+        steps = dict(zip(seen.tolist(), values.tolist(), strict=True))
+        return optuna.create_trial(state=state, value=result, intermediate_values=steps)
+
+    study = optuna.create_study()
+    study.add_trial(trial(leader.losses[seen], leader.value))
+    pruner = optuna.pruners.WilcoxonPruner(p_threshold=racing.P_VALUE)
+    return pruner.prune(study, trial(losses, None))
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("count", [1, 2, 4, 5, 8, 16, 28, 50, 51, 80])
+@pytest.mark.parametrize("round_to", [None, 1])  # rounded: ties, and changes of nothing
+def test_the_judgement_is_that_of_optunas_pruner(count, round_to):
+    rng = np.random.default_rng(count)
+    said = []
+    for shift in np.linspace(-0.2, 1.0, 20):
+        losses = 1.0 + rng.random(100)
+        leader = racing.Leader(float(losses.mean()), losses)
+        seen = rng.permutation(100)[:count]
+        candidate = losses[seen] + rng.standard_normal(count) * 0.8 + shift
+        if round_to is not None:
+            candidate = losses[seen] + np.round(candidate - losses[seen], round_to)
+        said.append(racing.hopeless(leader, seen, candidate))
+        assert said[-1] == pruned_by_optuna(leader, seen, candidate)
+    assert any(said) == (count >= 5)  # fewer cannot be sure
+
+
+def test_losses_that_are_not_finite_give_nobody_up():
+    leader = racing.Leader(1.0, np.ones(20))
+    losses = np.full(20, 3.0)
+    assert racing.hopeless(leader, np.arange(20), losses + 0.01 * np.arange(20))
+    losses[3] = np.inf
+    assert not racing.hopeless(leader, np.arange(20), losses)

@@ -45,6 +45,7 @@ from navgym.tuning.study.storage import (
     opened,
     put_back,
     record_life,
+    settle,
     signs_of_life,
     try_again,
     unreachable,
@@ -277,6 +278,7 @@ class _Run:
         """Evaluate a batch and tell the study, in order."""
         for trial, (found, seen) in zip(asked, self._evaluate(asked), strict=True):
             self._tell(trial, found, seen)
+        settle(self.storage)
 
     # ---- asking
 
@@ -300,8 +302,9 @@ class _Run:
             trial = self.study.ask()
         # processes that ask at the same moment must not draw the same: their numbers differ
         count = trial.number if self.shared else place
-        self.study.sampler = sampler_of(self.how.sampler, self.how.seed, count)
-        for name, distribution in distributions(self.goal.space).items():
+        space = distributions(self.goal.space)
+        self.study.sampler = sampler_of(self.how.sampler, self.how.seed, count, space)
+        for name, distribution in space.items():
             trial._suggest(name, distribution)
         return trial
 

@@ -65,9 +65,17 @@ def from_optuna(space: ParameterSpace, params: Mapping[str, Any]) -> dict[str, A
     return values
 
 
-def sampler_of(name: str, seed: int, count: int) -> optuna.samplers.BaseSampler:
+def sampler_of(
+    name: str, seed: int, count: int, space: Mapping[str, BaseDistribution] | None = None
+) -> optuna.samplers.BaseSampler:
     """A fresh sampler for the `count`-th trial: its draws depend on the history alone, not on who
     resumed it.
+
+    Args:
+        name: of `SAMPLERS`.
+        seed: of the study.
+        count: trials before this one.
+        space: what is searched; by default TPE reads it off the trials, all of them each time.
 
     Raises:
         ValueError: an unknown name.
@@ -85,9 +93,28 @@ def sampler_of(name: str, seed: int, count: int) -> optuna.samplers.BaseSampler:
         )
     if name == "gp":
         return _gaussian_process(words)
-    return optuna.samplers.TPESampler(
-        seed=words, multivariate=True, n_startup_trials=STARTUP_TRIALS
-    )
+    usual: dict[str, Any] = {
+        "seed": words,
+        "multivariate": True,
+        "n_startup_trials": STARTUP_TRIALS,
+    }
+    return optuna.samplers.TPESampler(**usual) if space is None else _TreeSampler(space, **usual)
+
+
+class _TreeSampler(optuna.samplers.TPESampler):
+    """TPE that is told what it searches."""
+
+    def __init__(self, space: Mapping[str, BaseDistribution], **options: Any) -> None:
+        super().__init__(**options)
+        # sorted, and without what cannot vary, as Optuna finds it
+        self._told = {name: d for name, d in sorted(space.items()) if not d.single()}
+
+    def infer_relative_search_space(
+        self, study: optuna.Study, trial: FrozenTrial
+    ) -> dict[str, BaseDistribution]:
+        """The whole space: every finished trial has all parameters."""
+        del study, trial
+        return self._told
 
 
 class _CovarianceSampler(optuna.samplers.CmaEsSampler):

@@ -239,37 +239,50 @@ def _alone(journal: Path) -> Iterator[None]:
 class _Lines(JournalFileBackend):
     """Optuna's journal file for the process that holds it: entries are written whole or not at all.
 
-    Optuna waits for the disk at each entry, some ten per trial. Here only changes of a trial's state
-    wait: a kill loses nothing that was written, and a power cut no finished trial.
+    Optuna waits for the disk at each entry, some ten per trial. Here only `settle` does, once a batch
+    of trials is told: a kill loses nothing that was written, and a power cut the batch at hand.
     """
 
     def append_logs(self, logs: list[dict[str, Any]]) -> None:
         """Write entries at the end; OSError if the disk is full or the file is gone."""
         text = "".join(json.dumps(log, separators=(",", ":")) + "\n" for log in logs)
-        try:
+        with self._named_errors():
             self._lock.acquire()  # a dashboard may write its notes
             try:
-                self._append(text.encode(), wait=any("state" in log for log in logs))
+                self._append(text.encode())
             finally:
                 self._lock.release()
+
+    def settle(self) -> None:
+        """Wait until the disk has all that was written; OSError where it cannot."""
+        with self._named_errors(), Path(self._file_path).open("ab") as file:
+            os.fsync(file.fileno())
+
+    @contextlib.contextmanager
+    def _named_errors(self) -> Iterator[None]:
+        try:
+            yield
         except OSError as error:
             raise OSError(
                 f"{self._file_path} cannot be written ({error.strerror}): make room, and give the "
                 "same command again. Finished trials are safe."
             ) from error
 
-    def _append(self, text: bytes, wait: bool) -> None:
+    def _append(self, text: bytes) -> None:
         journal = Path(self._file_path)
         size = journal.stat().st_size
         try:
             with journal.open("ab") as file:
                 file.write(text)
-                file.flush()
-                if wait:
-                    os.fsync(file.fileno())
         except OSError:
             os.truncate(journal, size)  # half an entry would spoil the next one
             raise
+
+
+def settle(storage: BaseStorage) -> None:
+    """Have finished trials outlast a power cut; a database sees to it itself."""
+    if isinstance(storage, JournalStorage) and isinstance(storage._backend, _Lines):
+        storage._backend.settle()
 
 
 def _journal(journal: Path) -> JournalStorage:
