@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import importlib
 import os
 import re
 import warnings
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -91,6 +93,29 @@ def read_channels(path: str | os.PathLike[str], kind: str | None = None) -> Chan
         ImportError: the kind needs an extra of navgym; it is named.
         ValueError: a damaged file, one of another kind, one that holds no channel.
     """
+    kept = _KEPT.get()
+    asked = os.fspath(path), kind
+    if kept is None:
+        return _read(*asked)
+    if asked not in kept:
+        kept[asked] = _read(*asked)
+    return kept[asked]
+
+
+_KEPT: ContextVar[dict[tuple[str, str | None], Channels] | None] = ContextVar("kept", default=None)
+
+
+@contextlib.contextmanager
+def kept_channels() -> Iterator[None]:
+    """Within it, `read_channels` reads a file once, for whoever asks again."""
+    token = _KEPT.set({})
+    try:
+        yield
+    finally:
+        _KEPT.reset(token)
+
+
+def _read(path: str, kind: str | None) -> Channels:
     source = Path(path)
     name = kind_of(source) if kind is None else one_of("kind", kind, KINDS)
     if not source.exists():

@@ -152,6 +152,8 @@ class Losses:
         mean: length of a run, rows.
         longest: of them.
         after_loss: share lost among rows after a lost one: above `share`, losses come in bursts.
+        every: rows from one received to the next where these come at a regular pace, rows from one
+            lost to the next (negative) where losses do; 0 where neither does.
     """
 
     sensor: str
@@ -161,19 +163,25 @@ class Losses:
     mean: float
     longest: int
     after_loss: float
+    every: float = 0.0
 
     @property
     def words(self) -> str:
         """In one line."""
         if not self.runs:
             return "none lost"
+        if self.every:
+            who, pace = ("received", self.every) if self.every > 0.0 else ("lost", -self.every)
+            return f"{self.share:.1%} lost, regularly: one in {pace:.3g} rows is {who}, the longest run {self.longest}"
         burst = "in bursts" if self.bursts else "independent"
         return (f"{self.share:.1%} lost, {burst}: {self.runs} runs of {self.mean:.3g} rows on average, "
                 f"the longest {self.longest}")  # fmt: skip
 
     @property
     def bursts(self) -> bool:
-        """Whether a loss makes the next more likely, by three standard deviations."""
+        """Whether a loss makes the next more likely, by three standard deviations, and has no pace."""
+        if self.every:
+            return False
         lost = max(self.share * self.rows, 1.0)
         chance = math.sqrt(self.share * (1.0 - self.share) / lost)
         return self.after_loss - self.share > 3.0 * chance

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from navgym.formats.kinds import kept_channels
 from navgym.inspection import series
 from navgym.inspection.findings import (
     SEVERITIES,
@@ -42,6 +43,11 @@ def inspect(log: str | Path, *words: str, format_name: str | None = None) -> Ins
 
 def of(log: Path, reading: ReaderOptions) -> Inspection:
     """The same with a reader's options as they are."""
+    with kept_channels():  # read once, and looked at as the file has them and as a recording does
+        return _looked_over(log, reading)
+
+
+def _looked_over(log: Path, reading: ReaderOptions) -> Inspection:
     from navgym.read_command import following, told
 
     done = read(log, reading)

@@ -47,6 +47,7 @@ class Motion:
         time: (V,) s, strictly in order.
         velocity: (V, 2) m/s.
         names: of the four channels: two positions, two velocities.
+        geographic: whether positions came in degrees, so that no unit of length can be wrong.
     """
 
     fix_time: Array
@@ -54,6 +55,7 @@ class Motion:
     time: Array
     velocity: Array
     names: tuple[str, str, str, str] = ("px", "py", "vx", "vy")
+    geographic: bool = False
 
     @classmethod
     def of(cls, time: Array, fixes: Array, velocity: Array, **more: object) -> Motion | None:
@@ -112,19 +114,26 @@ class Motion:
 # ---- what does not fit
 
 
-def disagreements(motion: Motion, heading: Array | None = None, heading_time: Array | None = None) -> list[Finding]:  # fmt: skip
+def disagreements(
+    motion: Motion,
+    heading: Array | None = None,
+    heading_time: Array | None = None,
+    turned: bool = False,
+) -> list[Finding]:
     """What is wrong between positions and velocities: the first of frame, axes, units, scale and turn; and delay.
 
     Args:
         motion: of a log.
         heading: (H,) rad, north to east, or None.
         heading_time: (H,) s.
+        turned: whether the velocities are a sensor's in the vehicle's axes, turned by the heading.
     """
     at = motion.windows(WINDOWS)
     if len(at) < FEWEST + 1 or motion.whole(at).sum() < FEWEST:
         return []
     if heading is not None and heading_time is not None:
-        body = _body(motion, at, heading, heading_time)
+        c, s = (np.interp(motion.time, heading_time, f(heading)) for f in (np.cos, np.sin))
+        body = [*(_mounted if turned else _body)(motion, at, c, s)]
         if body:
             return body
     found = [*_arrangement(motion, at)]
@@ -140,12 +149,14 @@ def _left(moved: Array, told: Array) -> tuple[float, float]:
     return factor, float(((moved - factor * told) ** 2).sum())
 
 
-def _body(
-    motion: Motion, at: NDArray[np.intp], heading: Array, heading_time: Array
-) -> list[Finding]:
-    c, s = (np.interp(motion.time, heading_time, f(heading)) for f in (np.cos, np.sin))
-    x, y = motion.velocity.T
-    turned = np.stack([c * x - s * y, s * x + c * y], axis=-1)
+def _turned(v: Array, c: Array, s: Array) -> Array:
+    """(V, 2) turned by angles of cosine c and sine s, (V,)."""
+    x, y = v.T
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
+
+
+def _body(motion: Motion, at: NDArray[np.intp], c: Array, s: Array) -> list[Finding]:
+    turned = _turned(motion.velocity, c, s)
     moved, told = motion.moved(at)
     own, other = _left(moved, told)[1], _left(moved, motion.moved(at, turned)[1])[1]
     if not (own > BETTER * other and other < EXPLAINED * (moved**2).sum()):
@@ -160,6 +171,26 @@ def _body(
 
 _SIGNS = [np.diag([a, b]) for a in (1.0, -1.0) for b in (1.0, -1.0)]
 _ARRANGED = [*_SIGNS, *(np.array([[0.0, 1.0], [1.0, 0.0]]) @ s for s in _SIGNS)]
+
+
+def _mounted(motion: Motion, at: NDArray[np.intp], c: Array, s: Array) -> Iterator[Finding]:
+    """Whether forward and starboard are other axes of the sensor than those that were turned."""
+    body = _turned(motion.velocity, c, -s)
+    moved, _ = motion.moved(at)
+    left = [_left(moved, motion.moved(at, _turned(body @ S.T, c, s))[1])[1] for S in _ARRANGED]
+    best = int(np.argmin(left))
+    if not (left[0] > BETTER * left[best] and left[best] < EXPLAINED * (moved**2).sum()):
+        return
+    signs = "+-"
+    forward, starboard = (
+        f"{signs[int(row.sum() < 0.0)]}{motion.names[2 + int(np.abs(row).argmax())]}" for row in _ARRANGED[best]
+    )  # fmt: skip
+    yield Finding(
+        "axes", " and ".join(motion.names[2:]),
+        f"forward is {forward} and starboard {starboard}: so they explain the displacements "
+        f"{left[0] / left[best]:.3g} times better",
+        "check the sensor's axes and what its frame is called, or its mounting",
+    )  # fmt: skip
 
 
 def _arrangement(motion: Motion, at: NDArray[np.intp]) -> Iterator[Finding]:
@@ -209,7 +240,8 @@ def _scale(motion: Motion, at: NDArray[np.intp]) -> Iterator[Finding]:
         f"positions move {factor:.4g} times as far as the velocities say ({low:.4g} to {high:.4g})"
     )
     near = {u: f for u, f in FACTORS.items() if low - margin < f < high + margin}
-    far = {u: 1.0 / f for u, f in LENGTHS.items() if low - margin < 1.0 / f < high + margin}
+    lengths = {} if motion.geographic else LENGTHS
+    far = {u: 1.0 / f for u, f in lengths.items() if low - margin < 1.0 / f < high + margin}
     for units, (x, y) in ((near, motion.names[2:]), (far, motion.names[:2])):
         if units:
             unit = min(units, key=lambda u: abs(math.log(factor / units[u])))

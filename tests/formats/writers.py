@@ -47,6 +47,22 @@ class Voyage:
         return 100.0 * np.column_stack([np.sin(h) - np.sin(0.7), np.cos(0.7) - np.cos(h), 0.0 * h])
 
     @cached_property
+    def speed(self):
+        """Over ground, m/s."""
+        return np.hypot(*self.velocity[:, :2].T)
+
+    @cached_property
+    def course(self):
+        """Over ground, degrees from 0 to 360."""
+        return np.degrees(np.arctan2(self.velocity[:, 1], self.velocity[:, 0])) % 360
+
+    @cached_property
+    def body(self):
+        """Velocity forward, starboard, down, m/s."""
+        v = (self.velocity[:, 0] + 1j * self.velocity[:, 1]) * np.exp(-1j * self.heading)
+        return np.column_stack([v.real, v.imag, 0.0 * v.real])
+
+    @cached_property
     def places(self):
         """Latitude, longitude, °."""
         return np.array(ORIGIN) + self.position[:, :2] / METRES
@@ -68,7 +84,7 @@ def nmea(path, voyage=Voyage(), course="RMC", heading=True):
         now = dt.datetime.fromtimestamp(stamp / 1e9, dt.UTC)
         (lat, lon), time = voyage.places[k], now.time()
         place = {"lat": lat, "NS": "N", "lon": lon, "EW": "E", "hpnmeamode": 1}
-        moving = {"spd": 2.0 / 1852 * 3600, "cog": np.degrees(voyage.heading[k]) % 360}
+        moving = {"spd": voyage.speed[k] / 1852 * 3600, "cog": voyage.course[k]}
         out.append(NMEAMessage("GN", "GGA", GET, time=time, quality=4, alt=10.0, sep=23.0, **place))
         out.append(NMEAMessage("GN", "GST", GET, time=time, stdLat=0.8, stdLong=0.7, stdAlt=1.5))
         if course == "RMC":
@@ -80,7 +96,7 @@ def nmea(path, voyage=Voyage(), course="RMC", heading=True):
         else:
             out.append(NMEAMessage("GN", "VTG", GET, cogt=moving["cog"], sogn=moving["spd"]))
         if heading:
-            out.append(NMEAMessage("GN", "HDT", GET, headingT=moving["cog"]))
+            out.append(NMEAMessage("GN", "HDT", GET, headingT=np.degrees(voyage.heading[k]) % 360))
     path.write_bytes(b"".join(message.serialize() for message in out))
     return path
 
@@ -143,8 +159,9 @@ def messages(store, voyage, ros1=False, without=()):
                 none,
             ),
         )
+        forward, starboard, down = voyage.body[k].tolist()
         twist = T["geometry_msgs/msg/Twist"](
-            _vector(store, (2.0, 0.0, 0.0)), _vector(store, (0, 0, -0.02))
+            _vector(store, (forward, -starboard, -down)), _vector(store, (0, 0, -0.02))
         )
         cov = np.diag([0.01, 0.04, 0.09, 1, 1, 1.0]).ravel()
         twist = T["geometry_msgs/msg/TwistWithCovariance"](twist, cov)
@@ -169,7 +186,7 @@ def messages(store, voyage, ros1=False, without=()):
             stamp,
             T["dvl_msgs/msg/DVL"](
                 head("dvl"),
-                _vector(store, (2.0, 0.0, 0.0)),
+                _vector(store, (forward, starboard, down)),
                 np.diag([1e-4] * 3).ravel(),
                 valid,
                 5.0,
@@ -315,6 +332,7 @@ def dataflash(path, voyage=Voyage()):
     for k, stamp in enumerate((voyage.stamps - START + 10**9) // 1000):
         (lat, lon), v = voyage.places[k], voyage.velocity[k]
         degrees = float(np.degrees(voyage.heading[k]))
+        speed, course = float(voyage.speed[k]), float(voyage.course[k])
         for name, row in (
             (
                 "GPS",
@@ -326,8 +344,8 @@ def dataflash(path, voyage=Voyage()):
                     round(lat * 1e7),
                     round(lon * 1e7),
                     3300,
-                    2.0,
-                    degrees % 360,
+                    speed,
+                    course,
                     0.0,
                 ),
             ),
@@ -352,7 +370,7 @@ def tlog(path, voyage=Voyage()):
         for k, stamp in enumerate(voyage.stamps // 1000):
             lat, lon = (round(value * 1e7) for value in voyage.places[k])
             v, ms = voyage.velocity[k], int(voyage.seconds[k] * 1000)
-            course = round(np.degrees(voyage.heading[k]) * 100) % 36000
+            course, speed = round(voyage.course[k] * 100) % 36000, round(voyage.speed[k] * 100)
             for message in (
                 mav.MAVLink_gps_raw_int_message(
                     (ms + 1) * 1000,
@@ -362,7 +380,7 @@ def tlog(path, voyage=Voyage()):
                     10000,
                     80,
                     150,
-                    200,
+                    speed,
                     course,
                     9,
                     33000,
