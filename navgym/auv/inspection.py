@@ -31,6 +31,7 @@ MISLED = (
     4.0,
     100.0,
 )  # times: scatter over the receiver's own accuracy, and the accuracy over the scatter
+DISAGREEING = ("frame", "axes", "units", "scale", "sign", "rotation")  # that make noise of no noise
 DIGITS = 3  # of a suggested number
 
 
@@ -67,7 +68,7 @@ def evidence(recording: Recording, log: Path, options: Mapping[str, Any]) -> Evi
     findings = [*_of_times(recording, raw, both)]
     if both is not None:
         findings += _of_motion(both, raw, recording.meta.get("columns", {}))
-    if raw is not None:
+    if raw is not None and not any(f.kind in DISAGREEING for f in findings):
         findings += _accuracy(recording, names, raw, both)
     lines, words = _noise(recording, known, both, raw)
     track = _track(recording, names)
@@ -224,7 +225,8 @@ def _of_motion(both: Motion, raw: _Raw | None, columns: Mapping[str, str]) -> It
     found = [_spelt(f, columns) for f in moving.disagreements(both, psi, time, turned)]
     yield from found
     if psi is not None and time is not None and not found:
-        yield from moving.heading_of(both, psi, time)
+        for f in moving.heading_of(both, psi, time):
+            yield replace(f, options=()) if raw is not None and raw.own else f  # in rad, by format
 
 
 def _spelt(finding: Finding, columns: Mapping[str, str]) -> Finding:

@@ -23,6 +23,7 @@ KINDS: Mapping[str, tuple[str, str]] = {
     "untold": (ERROR, "the reader must be told something that no file says"),
     "columns": (ERROR, "no column, or more than one, could be what is needed"),
     "cut": (NOTE, "the last row is cut off"),
+    "damage": (WARNING, "parts of the file are damaged and left out"),
     # times
     "clock set": (ERROR, "the clock goes back, or jumps by more than a voyage"),
     "clock step": (WARNING, "time jumps and the vehicle does not: the clock was set forward"),

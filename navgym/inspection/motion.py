@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 from navgym.core.checks import Array
 from navgym.inspection.findings import Finding
 
+PLACES, SPEEDS = ("px", "py"), ("vx", "vy")  # what the reader's options call the channels
 WINDOWS = 24  # into which a log is cut
 FEWEST = 8  # windows
 GAP = 5.0  # usual steps: what velocities say over a longer gap is left out
 BETTER = 4.0  # times the sum of squares: with 16 numbers, chance passes it less than once in 1e4
 EXPLAINED = 0.3  # share of the displacements that a good arrangement leaves at most
+ALIKE = 1.5  # ratio of sums of squares that tells nothing
 SIGMAS = 7.0  # of windows whose worth differs: fewer say too much
 SCALED, TURNED = 0.05, math.radians(3.0)  # what of scale and turn is worth a word
 LONGEST_DELAY, TRIED = 10.0, (0.1, 0.2, 0.5, 1.0, 2.0)  # s; beside multiples of the step
@@ -178,7 +180,8 @@ def _mounted(motion: Motion, at: NDArray[np.intp], c: Array, s: Array) -> Iterat
     body = _turned(motion.velocity, c, -s)
     moved, _ = motion.moved(at)
     left = [_left(moved, motion.moved(at, _turned(body @ S.T, c, s))[1])[1] for S in _ARRANGED]
-    best = int(np.argmin(left))
+    # along an axis on which nothing moves either sign will do: the first
+    best = int(np.argmax(np.asarray(left) <= ALIKE * min(left)))
     if not (left[0] > BETTER * left[best] and left[best] < EXPLAINED * (moved**2).sum()):
         return
     signs = "+-"
@@ -209,7 +212,8 @@ def _arrangement(motion: Motion, at: NDArray[np.intp]) -> Iterator[Finding]:
         )
         return
     signs = "" if (S >= 0.0).all() else ", one or both with the other sign,"
-    options = (f"columns.{north}", east, f"columns.{east}", north) if not signs else ()
+    plain = not signs and (north, east) == SPEEDS  # no column of the file if they were turned
+    options = tuple(w for a, b in zip(SPEEDS, SPEEDS[::-1], strict=True) for w in (f"columns.{a}", b)) if plain else ()  # fmt: skip
     yield Finding("axes", f"{north} and {east}", f"exchanged{signs} {better}",
                   f"exchange {north} and {east}", options)  # fmt: skip
 
@@ -242,11 +246,14 @@ def _scale(motion: Motion, at: NDArray[np.intp]) -> Iterator[Finding]:
     near = {u: f for u, f in FACTORS.items() if low - margin < f < high + margin}
     lengths = {} if motion.geographic else LENGTHS
     far = {u: 1.0 / f for u, f in lengths.items() if low - margin < 1.0 / f < high + margin}
-    for units, (x, y) in ((near, motion.names[2:]), (far, motion.names[:2])):
+    for units, (x, y), (a, b) in (
+        (near, motion.names[2:], SPEEDS),
+        (far, motion.names[:2], PLACES),
+    ):
         if units:
             unit = min(units, key=lambda u: abs(math.log(factor / units[u])))
             yield Finding("units", f"{x} and {y}", f"{said}: as if they were in {unit}",
-                          f"say that they are in {unit}", (f"units.{x}", unit, f"units.{y}", unit))  # fmt: skip
+                          f"say that they are in {unit}", (f"units.{a}", unit, f"units.{b}", unit))  # fmt: skip
             return
     yield Finding("scale", names, said, "calibrate the scale of the velocities")
 

@@ -20,6 +20,7 @@ class Voyage:
     count: int = 60
     step: float = 1.0
     start: int = START  # ns since 1970
+    speed_noise: float = 0.01  # m/s, that a Doppler log tells of itself
 
     @cached_property
     def seconds(self):
@@ -71,6 +72,21 @@ class Voyage:
     def to_enu(self):
         """Quaternions x, y, z, w from forward, left, up to east, north, up."""
         return Rotation.from_euler("z", (np.pi / 2 - self.heading)[:, None]).as_quat()
+
+
+class Sailed(Voyage):
+    """A voyage as columns tell it: time, px, py, vx, vy, heading in degrees, a row per sample."""
+
+    def __init__(self, columns, start=START + 600 * 10**9):
+        super().__init__(len(columns["time"]), 1.0, start, 0.05)
+        zero = np.zeros(self.count)
+        told = {
+            "seconds": columns["time"],
+            "heading": (np.radians(columns["heading"]) + np.pi) % (2 * np.pi) - np.pi,
+            "velocity": np.column_stack([columns["vx"], columns["vy"], zero]),
+            "position": np.column_stack([columns["px"], columns["py"], zero]),
+        }
+        self.__dict__.update(told)  # in place of cached properties
 
 
 # ---- NMEA 0183
@@ -187,7 +203,7 @@ def messages(store, voyage, ros1=False, without=()):
             T["dvl_msgs/msg/DVL"](
                 head("dvl"),
                 _vector(store, (forward, starboard, down)),
-                np.diag([1e-4] * 3).ravel(),
+                np.diag([voyage.speed_noise**2] * 3).ravel(),
                 valid,
                 5.0,
             ),
@@ -218,7 +234,7 @@ def bag(path, voyage=Voyage(), kind="mcap", without=(), more=()):
             storage_plugin=StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3,
         )
     )
-    known = {}
+    known, count, sailed = {}, {}, isinstance(voyage, Sailed)
     with writer:
         for topic, name, stamp, message in [*messages(store, voyage, ros1), *more]:
             if topic in without:
@@ -226,7 +242,9 @@ def bag(path, voyage=Voyage(), kind="mcap", without=(), more=()):
             if topic not in known:
                 known[topic] = writer.add_connection(topic, name, typestore=store)
             raw = (store.serialize_ros1 if ros1 else store.serialize_cdr)(message, name)
-            writer.write(known[topic], stamp + 5_000_000, raw)
+            at = count[topic] = count.get(topic, -1) + 1  # the recorder's own clock is never set
+            received = voyage.start + round(at * voyage.step * 1e9) if sailed else stamp
+            writer.write(known[topic], received + 5_000_000, raw)
     return path
 
 
