@@ -99,7 +99,10 @@ def _choice(error: str) -> list[tuple[str, str]]:
 
 def _repaired(log: Path, reading: ReaderOptions, refused: Finding, words: tuple[str, ...]) -> Read | None:  # fmt: skip
     """What became of a log that was refused, read with more words; None if that is refused too."""
-    found = read(log, ReaderOptions((*reading.words, *words), reading.format))
+    try:
+        found = read(log, ReaderOptions((*reading.words, *words), reading.format))
+    except ValueError:  # an option that this reader does not have
+        return None
     if found.recording is None:
         return None
     repaired = Finding(refused.kind, refused.channel, refused.said, refused.remedy, words)
