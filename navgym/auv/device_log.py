@@ -86,8 +86,8 @@ def read_log(
     told = Told.of(path, kind, topics, model, lever_arm is not None)
     with Progress(f"reading {Path(path).name}") as progress:
         return recording_of(
-            told.table, progress, model=model, columns=told.columns | dict(columns or {}),
-            units=told.units | dict(units or {}), missing=missing, extra="ignore",
+            told.table, progress, model=model, columns={**told.columns, **(columns or {})},
+            units={**told.units, **(units or {})}, missing=missing, extra="ignore",
             sort=sort, held=held, origin=origin, lever_arm=lever_arm, latency=latency,
             accuracy_floor=accuracy_floor, position_noise=position_noise,
             velocity_noise=velocity_noise, acceleration=acceleration,

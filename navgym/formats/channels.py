@@ -179,7 +179,7 @@ class Gatherer:
         ]  # fmt: skip
         kept = [_checked(each) for each in (*found, *self.whole)]
         silent = [each for each in kept if not len(each)]
-        said = [*self.said, *(f"{s.name} holds no {s.kind.replace('_', ' ')}" for s in silent)]
+        said = [*self.said, *(f"{'the estimate ' * (s.rank == ESTIMATE)}{s.name} holds no {s.kind.replace('_', ' ')}" for s in silent)]  # fmt: skip
         there = [each for each in kept if len(each)]
         return Channels(self.path, self.format, there, said, self.doubts)
 

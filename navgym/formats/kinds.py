@@ -49,7 +49,7 @@ KINDS: dict[str, Kind] = {
     "ulog": Kind(rf"{_NAME}\nULog\x01\x12", "navgym.formats.ulog", "px4"),
     "ardupilot": Kind(rf"{_NAME}\n\ufffd\ufffd\ufffd\ufffd", "navgym.formats.dataflash", "ardupilot"),
     "tlog": Kind(rf"{_NAME}\.tlog(\.gz)?\n", "navgym.formats.tlog", "ardupilot"),
-    "nmea": Kind(r"\n([^\n,*$!]{0,40}[ ,;\t])?\$[A-Z]{2}[A-Z]{3},[^\n*]*\*[0-9A-F]{2}", "navgym.formats.nmea", "nmea"),
+    "nmea": Kind(r"\n([^\n,*$!]{0,40}[ ,;\t])?\$[A-Z]{2}[A-Z\d]{2,8},[^\n*]*\*[0-9A-F]{2}", "navgym.formats.nmea", "nmea"),
     "pd0": Kind(rf"{_NAME}\n\x7f\x7f", "navgym.formats.pd0", ""),
     "sbet": Kind(rf"{_NAME}(\.sbet|sbet[^\n]*\.out)\n", "navgym.formats.sbet", ""),
 }  # fmt: skip

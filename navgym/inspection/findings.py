@@ -174,6 +174,8 @@ class Losses:
         if self.every:
             who, pace = ("received", self.every) if self.every > 0.0 else ("lost", -self.every)
             return f"{self.share:.1%} lost, regularly: one in {pace:.3g} rows is {who}, the longest run {self.longest}"
+        if self.runs == 1:
+            return f"{self.share:.1%} lost, in one run of {self.longest} rows"
         burst = "in bursts" if self.bursts else "independent"
         return (f"{self.share:.1%} lost, {burst}: {self.runs} runs of {self.mean:.3g} rows on average, "
                 f"the longest {self.longest}")  # fmt: skip

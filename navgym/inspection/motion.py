@@ -268,7 +268,8 @@ def _turn(motion: Motion, at: NDArray[np.intp]) -> Iterator[Finding]:
     factor, left = _left(moved, turned)
     power = max(factor, 1e-300) ** 2 * float((told**2).sum())
     deviation = math.sqrt(left / (2 * len(moved)) / power) if power > 0.0 else math.inf
-    if abs(angle) > max(TURNED, SIGMAS * deviation):
+    explained = left < EXPLAINED * float((moved**2).sum())  # a vehicle at rest turns at random
+    if explained and abs(angle) > max(TURNED, SIGMAS * deviation):
         yield Finding(
             "rotation", " and ".join(motion.names[2:]),
             f"positions move {math.degrees(angle):+.3g}° ± {math.degrees(deviation):.2g}° (towards east) from where "
