@@ -175,24 +175,30 @@ _SIGNS = [np.diag([a, b]) for a in (1.0, -1.0) for b in (1.0, -1.0)]
 _ARRANGED = [*_SIGNS, *(np.array([[0.0, 1.0], [1.0, 0.0]]) @ s for s in _SIGNS)]
 
 
+_MOUNTED = [
+    *(np.diag(d) for d in ((1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0))),
+    *_ARRANGED[4:],
+]
+
+
 def _mounted(motion: Motion, at: NDArray[np.intp], c: Array, s: Array) -> Iterator[Finding]:
     """Whether forward and starboard are other axes of the sensor than those that were turned."""
     body = _turned(motion.velocity, c, -s)
     moved, _ = motion.moved(at)
-    left = [_left(moved, motion.moved(at, _turned(body @ S.T, c, s))[1])[1] for S in _ARRANGED]
+    left = [_left(moved, motion.moved(at, _turned(body @ S.T, c, s))[1])[1] for S in _MOUNTED]
     # along an axis on which nothing moves either sign will do: the first
     best = int(np.argmax(np.asarray(left) <= ALIKE * min(left)))
     if not (left[0] > BETTER * left[best] and left[best] < EXPLAINED * (moved**2).sum()):
         return
     signs = "+-"
     forward, starboard = (
-        f"{signs[int(row.sum() < 0.0)]}{motion.names[2 + int(np.abs(row).argmax())]}" for row in _ARRANGED[best]
+        f"{signs[int(row.sum() < 0.0)]}{motion.names[2 + int(np.abs(row).argmax())]}" for row in _MOUNTED[best]
     )  # fmt: skip
     yield Finding(
         "axes", " and ".join(motion.names[2:]),
         f"forward is {forward} and starboard {starboard}: so they explain the displacements "
         f"{left[0] / left[best]:.3g} times better",
-        "check the sensor's axes and what its frame is called, or its mounting",
+        "check the sensor's mounting and what its frame is called, or the attitude that turned it",
     )  # fmt: skip
 
 
