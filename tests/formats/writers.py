@@ -443,36 +443,70 @@ def sbet(path, voyage=Voyage(), hand=(-1.0, -1.0, -1.0), wander=0.3):
     return path
 
 
-def pd0(path, voyage=Voyage(), axes=3):
+@dataclass(frozen=True)
+class Mount:
+    """How a Doppler log sits in its vessel: degrees."""
+
+    pitch: float = 0.0  # y, towards beam 3, up
+    roll: float = 0.0  # x, towards beam 2 of one that looks down, down
+    alignment: float = 0.0  # of beam 3 clockwise from the bow
+    up: bool = False
+    convex: bool = True
+    angle: int = 20
+    told: int = 20  # angle in the leader's last byte, 0 for none
+    silent: tuple = ()  # beams that hear nothing
+
+    @property
+    def axes(self):
+        """x, y, z of the instrument as columns: starboard, forward, up of the vessel."""
+        turns = [("z", -self.alignment), ("x", self.pitch), ("y", self.roll + 180.0 * self.up)]
+        whole = Rotation.identity()
+        for axis, degrees in turns:
+            whole = whole * Rotation.from_euler(axis, degrees, degrees=True)
+        return whole.as_matrix()
+
+    @property
+    def beams(self):
+        """Unit vectors along the beams, away from the instrument, as rows: in its own axes."""
+        s, c = np.sin(np.radians(self.angle)), np.cos(np.radians(self.angle))
+        s = s if self.convex else -s
+        return np.array([[-s, 0, -c], [s, 0, -c], [0, s, -c], [0, -s, -c]])
+
+
+def pd0(path, voyage=Voyage(), axes=3, mount=Mount()):
     import struct
 
     out = []
     for k, stamp in enumerate(voyage.stamps.tolist()):
         now = dt.datetime.fromtimestamp(stamp / 1e9, dt.UTC)
         fixed = bytearray(59)
+        fixed[4] = mount.convex << 3 | mount.up << 7
+        fixed[5] = {15: 0, 20: 1, 30: 2}.get(mount.angle, 3)
+        fixed[8] = 4
         fixed[25] = axes << 3 | 7
+        fixed[26:28] = struct.pack("<h", round(100 * mount.alignment))
+        fixed[58] = mount.told
         variable = bytearray(65)
         variable[:2] = struct.pack("<H", 0x80)
-        variable[4:11] = bytes(
-            [
-                now.year - 2000,
-                now.month,
-                now.day,
-                now.hour,
-                now.minute,
-                now.second,
-                stamp // 10**7 % 100,
-            ]
-        )
+        clock = [now.month, now.day, now.hour, now.minute, now.second, stamp // 10**7 % 100]
+        variable[4:11] = bytes([now.year - 2000, *clock])
         variable[18:20] = struct.pack("<H", round(np.degrees(voyage.heading[k]) * 100) % 36000)
+        variable[20:24] = struct.pack("<2h", round(100 * mount.pitch), round(100 * mount.roll))
         variable[57:65] = bytes([20, *variable[4:11]])
         n, e, _ = voyage.velocity[k]
         bottom = bytearray(81)
         bottom[:2] = struct.pack("<H", 0x600)
-        two = {3: (e, n), 2: (0.0, 2.0), 1: (0.0, 0.0), 0: (0.0, 0.0)}[axes]
-        four = [round(-1000 * value) for value in two] + [0, 3]
+        forward, starboard, down = voyage.body[k]
+        instrument = mount.axes.T @ [starboard, forward, -down]
+        # the vessel moves along a beam as fast as the bottom comes along it
+        told = {
+            3: (-e, -n, 0.0, 0.003), 2: (-starboard, -forward, down, 0.003),
+            1: (*-instrument, 0.003), 0: mount.beams @ instrument,
+        }[axes]  # fmt: skip
+        four = [round(1000 * value) for value in told]
         if k % 7 == 6:
             four = [-32768] * 4
+        four = [-32768 if j in mount.silent else value for j, value in enumerate(four)]
         bottom[24:32] = struct.pack("<4h", *four)
         blocks = [bytes(fixed), bytes(variable), bytes(bottom)]
         offsets = [12 + sum(map(len, blocks[:j])) for j in range(3)]
