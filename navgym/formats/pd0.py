@@ -34,6 +34,8 @@ BEAM_ANGLES = {0: 15.0, 1: 20.0, 2: 30.0}  # degrees, by bits of the configurati
 STEEPEST, FLATTEST = 5, 45  # degrees from the vertical that a beam may point
 CONVEX, UPWARDS = 1 << 3, 1 << 7  # of the configuration's first byte
 OWN_PITCH = 1 << 3  # of the sensors' sources: by the tilt sensor within, which is no gimbal
+# of beams that see one velocity the weighted sum is none
+JANUS = np.array([1.0, 1.0, -1.0, -1.0])
 THREE_BEAMS = 1 << 1  # of EX: three beams do
 LENGTHS = {FIXED: 42, VARIABLE: 40, BOTTOM: 32}  # bytes of a block that are looked at
 EVERY = 1000  # ensembles between two reports of progress
@@ -125,9 +127,7 @@ def _instrument(leader: bytes, beams: Array) -> Array:
     """Velocities x, y, z of the instrument and their misfit, m/s, (4,), from those along four beams."""
     if leader[8] < 4:
         raise ValueError(f"velocities are along {leader[8]} beams, of which no velocity can be made: log in ship or earth axes (EX11111)")  # fmt: skip
-    angle = (
-        leader[58] if len(leader) > 58 else 0
-    )  # where the block ends is not known, but what can be
+    angle = float(leader[58]) if len(leader) > 58 else 0.0  # of older firmware another block's
     if not STEEPEST <= angle <= FLATTEST:
         angle = BEAM_ANGLES.get(leader[5] & 3, 0.0)
     if not angle:
@@ -137,11 +137,6 @@ def _instrument(leader: bytes, beams: Array) -> Array:
         beams = np.where(lost, 0.0, beams)
         beams = beams + lost * (JANUS @ beams) / -(JANUS @ lost)  # so that there is no misfit
     return matrix(angle, bool(leader[4] & CONVEX)) @ beams
-
-
-JANUS = np.array(
-    [1.0, 1.0, -1.0, -1.0]
-)  # what the sum over beams is without, if they see one velocity
 
 
 def matrix(angle: float, convex: bool) -> Array:

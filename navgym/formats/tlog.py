@@ -6,7 +6,10 @@ serve only where a message tells no time of its own.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import math
+import mmap
 from array import array
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -32,20 +35,31 @@ EVERY = 5000  # messages between two reports of progress
 
 def read(path: Path, gatherer: Gatherer) -> None:
     """Every channel of a log whose message is known, by message and system, such as ATTITUDE@1."""
-    with opened(path) as file:
-        data = file.read()
-    packets, clock = _Packets(data), _Clock()
-    for count, (received, message) in enumerate(packets):
-        kind = message.get_type()
-        stamp = clock.stamp(message, received)
-        TAKERS[kind](gatherer, f"{kind}@{message.get_srcSystem()}", stamp, message)
-        if count % EVERY == 0:
-            gatherer.progress.at(packets.at / len(data))
+    clock = _Clock()
+    with _content(path) as data:
+        packets = _Packets(data)
+        for count, (received, message) in enumerate(packets):
+            kind = message.get_type()
+            stamp = clock.stamp(message, received)
+            TAKERS[kind](gatherer, f"{kind}@{message.get_srcSystem()}", stamp, message)
+            if count % EVERY == 0:
+                gatherer.progress.at(packets.at / len(data))
     clock.settle(gatherer)
     if packets.bad > ALL_BAD * packets.count:
         raise ValueError(f"{packets.bad} of {packets.count} packets are damaged")
     if packets.bad:
         gatherer.doubts.append(f"{packets.bad} of {packets.count} packets are damaged: left out")
+
+
+@contextlib.contextmanager
+def _content(path: Path) -> Iterator[bytes | mmap.mmap]:
+    """The bytes of a file, by pages as they are looked at; one that gzip packed is unpacked whole."""
+    with opened(path) as file:
+        if not isinstance(file, io.BufferedReader) or not path.stat().st_size:
+            yield file.read()
+            return
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            yield data
 
 
 class _Packets:
@@ -55,7 +69,7 @@ class _Packets:
     the time. Where no packet begins as it should, the next one with a right checksum is looked for.
     """
 
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, data: bytes | mmap.mmap) -> None:
         self.data = data
         self.at = 0  # where the next 8 bytes are
         self.count = self.bad = 0

@@ -28,6 +28,10 @@ LEAST = {
     "rate": 1.0,
     "force": 20.0,
 }  # rad/s, m/s²: what shocks and slams may do from one sample to the next
+MATTERS = {
+    "position": 0.01,
+    "velocity": 1e-3,
+}  # m, m/s: smaller steps are rounding, whatever the others
 CYCLIC = "angle"  # 359 is beside 0
 
 
@@ -147,7 +151,7 @@ def _steps(channel: Channel) -> Iterator[Finding]:
 def _possible(kind: str, size: float) -> bool:
     """Whether a step of that size is worth a word: no shock of an IMU, no turn of an angle in a channel of unknown kind."""
     turned = kind == "other" and any(abs(size / turn - 1.0) < ALIKE for turn in TURNS)
-    return size > LEAST.get(kind, 0.0) and not turned
+    return size > {**LEAST, **MATTERS}.get(kind, 0.0) and not turned
 
 
 def _paired(big: Sequence[int], left: Array) -> tuple[list[int], list[int]]:
