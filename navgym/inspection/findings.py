@@ -171,14 +171,22 @@ class Losses:
         """In one line."""
         if not self.runs:
             return "none lost"
+        if self.runs == 1:
+            return f"{self.share:.1%} lost, {self.manner} of {self.longest} rows"
+        if self.every:
+            return f"{self.share:.1%} lost, {self.manner}, the longest run {self.longest}"
+        return (f"{self.share:.1%} lost, {self.manner}: {self.runs} runs of {self.mean:.3g} rows on average, "
+                f"the longest {self.longest}")  # fmt: skip
+
+    @property
+    def manner(self) -> str:
+        """How losses come, in words; "" where there are none."""
         if self.every:
             who, pace = ("received", self.every) if self.every > 0.0 else ("lost", -self.every)
-            return f"{self.share:.1%} lost, regularly: one in {pace:.3g} rows is {who}, the longest run {self.longest}"
-        if self.runs == 1:
-            return f"{self.share:.1%} lost, in one run of {self.longest} rows"
-        burst = "in bursts" if self.bursts else "independent"
-        return (f"{self.share:.1%} lost, {burst}: {self.runs} runs of {self.mean:.3g} rows on average, "
-                f"the longest {self.longest}")  # fmt: skip
+            return f"regularly: one in {pace:.3g} rows is {who}"
+        if self.runs < 2:
+            return "in one run" * self.runs
+        return "in bursts" if self.bursts else "independent"
 
     @property
     def bursts(self) -> bool:
@@ -224,6 +232,7 @@ class Inspection:
         noise: what the log suggests, lines of a name and a text.
         model: words for --read with the model that the log suggests.
         next: the command to run now.
+        command: the one that was run, "" for none.
         track: (north, east), m, or None.
         recording: what the reader made of it, or None.
     """
@@ -238,6 +247,7 @@ class Inspection:
     noise: Sequence[tuple[str, str]]
     model: tuple[str, ...]
     next: str
+    command: str = ""
     track: tuple[Array, Array] | None = field(default=None, repr=False)
     recording: Any = field(default=None, repr=False)
 

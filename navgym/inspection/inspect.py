@@ -58,10 +58,11 @@ def _looked_over(log: Path, reading: ReaderOptions) -> Inspection:
     done = read(log, reading)
     name = reading.format_of(log)
     held = _held(log, reading, name)
+    command = shlex.join(["navgym", "inspect", str(log), *_told(reading)])
     if done.recording is None:
         return Inspection(
             str(log), name, "", tuple(held), tuple(done.findings), (), (), (), (),
-            _refused(log, reading, name, held, done.findings),
+            _refused(log, reading, name, held, done.findings), command,
         )  # fmt: skip
     problem = done.reading.problem(log)
     evidence = _evidence(problem, log, done)
@@ -73,7 +74,7 @@ def _looked_over(log: Path, reading: ReaderOptions) -> Inspection:
     next_command = _next(log, done, findings, evidence, following, problem)
     return Inspection(
         str(log), name, problem.title, tuple(lines), findings, tuple(evidence.channels),
-        _losses(evidence.channels), tuple(evidence.noise), evidence.words, next_command,
+        _losses(evidence.channels), tuple(evidence.noise), evidence.words, next_command, command,
         evidence.track, done.recording,
     )  # fmt: skip
 
