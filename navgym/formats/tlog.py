@@ -49,6 +49,9 @@ def read(path: Path, gatherer: Gatherer) -> None:
         raise ValueError(f"{packets.bad} of {packets.count} packets are damaged")
     if packets.bad:
         gatherer.doubts.append(f"{packets.bad} of {packets.count} packets are damaged: left out")
+    if packets.missing:
+        whole = packets.count - packets.bad + packets.missing
+        gatherer.said.append(f"by their numbers {packets.missing} of {whole} packets ({packets.missing / whole:.1%}) were lost on the link")  # fmt: skip
 
 
 @contextlib.contextmanager
@@ -72,7 +75,8 @@ class _Packets:
     def __init__(self, data: bytes | mmap.mmap) -> None:
         self.data = data
         self.at = 0  # where the next 8 bytes are
-        self.count = self.bad = 0
+        self.count = self.bad = self.missing = 0
+        self.numbers: dict[tuple[int, int], int] = {}  # the last one's, by system and component
         self.link = mavlink.MAVLink(None)
 
     def __iter__(self) -> Iterator[tuple[int, Any]]:
@@ -84,6 +88,7 @@ class _Packets:
             whole = 0 < end <= len(self.data)
             if whole and not wanted and not lost:
                 self.count += 1
+                self._numbered(begin)
                 self.at = end
                 continue
             message = self._decoded(begin, end) if whole else None
@@ -94,9 +99,19 @@ class _Packets:
                 self.at = self._next(begin + 1) - STAMP
                 continue
             self.count += 1
+            self._numbered(begin)
             lost, self.at = False, end
             if message.get_type() in TAKERS:
                 yield int.from_bytes(self.data[begin - STAMP : begin], "big"), message
+
+    def _numbered(self, begin: int) -> None:
+        """Count the packets that are missing before one, which counts its sender's packets to 255."""
+        at = begin + (2 if self.data[begin] == MARKERS[0] else 4)
+        number, *sender = self.data[at : at + 3]
+        last = self.numbers.get((sender[0], sender[1]), number - 1)
+        gone = (number - last - 1) % 256
+        self.missing += gone if gone < 240 else 0  # else it came twice, or late
+        self.numbers[sender[0], sender[1]] = number
 
     def _extent(self, begin: int) -> tuple[int, bool]:
         """Where a packet ends, 0 where none begins, and whether its type is wanted."""

@@ -324,6 +324,19 @@ def test_a_doppler_log_of_three_beams_is_refused(tmp_path):
         navgym.read("log", path)
 
 
+def test_packets_that_a_link_lost_are_counted_by_their_numbers(tmp_path):
+    whole = writers.tlog(tmp_path / "x.tlog")
+    assert not any("link" in each for each in read_channels(whole).said)
+    content, at, kept = whole.read_bytes(), 0, bytearray()
+    for k in range(4 * VOYAGE.count):  # each 12 bytes longer than its payload, after 8 of a stamp
+        end = at + 8 + content[at + 9] + 12
+        kept += b"" if 40 <= k < 52 else content[at:end]
+        at = end
+    whole.write_bytes(kept)
+    (said,) = [each for each in read_channels(whole).said if "link" in each]
+    assert said.startswith("by their numbers 12 of 240 packets (5.0%) were lost")
+
+
 def test_a_dataflash_log_may_be_cut_off_within_a_message(tmp_path):
     path = writers.dataflash(tmp_path / "x.bin")
     path.write_bytes(path.read_bytes()[:-10])

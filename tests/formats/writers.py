@@ -412,6 +412,7 @@ def tlog(path, voyage=Voyage()):
                 mav.MAVLink_local_position_ned_message(ms + 1, *voyage.position[k], *v),
             ):
                 file.write(struct.pack(">Q", int(stamp)) + message.pack(link))
+                link.seq = (link.seq + 1) % 256
     return path
 
 
