@@ -27,6 +27,7 @@ from navgym.readers import ReaderOptions, reader_of
 Line = tuple[str, str]
 
 AIDED = "log", "ins_log"  # formats of devices' logs: positions and velocities, or an IMU as well
+NO_IMU = "format 'log'"  # what an error says where there is none
 IMU = "'ins_log'"  # what an error says where there is an IMU and nothing else
 MENDABLE = 8  # findings whose options are put into the next command
 
@@ -137,6 +138,8 @@ def _refused(
         words += ["--write-mapping", "mapping.toml"]
     elif name == AIDED[0] and held and any(IMU in f.said for f in findings):
         words = ["navgym", "inspect", str(log), "--format", AIDED[1]]
+    elif held and any(NO_IMU in f.said for f in findings):
+        words = ["navgym", "inspect", str(log)]
     return shlex.join(words)
 
 

@@ -144,6 +144,13 @@ def test_a_log_of_an_imu_alone_is_looked_at_as_one(tmp_path):
     assert command.main(words[1:]) == 1
 
 
+def test_a_log_without_an_imu_is_sent_to_the_format_that_needs_none(tmp_path):
+    found = inspect(written("nmea", tmp_path, logs.eights()), format_name="ins_log")
+    words = shlex.split(found.next)
+    assert (found.status, words[:2], len(words)) == (2, ["navgym", "inspect"], 3)
+    assert command.main(words[1:]) == 0
+
+
 @pytest.mark.parametrize("name", FORMATS)
 def test_the_next_command_runs_as_it_stands(name, tmp_path, capsys):
     log = written(name, tmp_path, changed("velocities are in knots"))
