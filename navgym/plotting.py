@@ -135,7 +135,10 @@ def _errors(axes: Any, estimate: Estimate) -> None:
 
 
 def _innovation_deviation(estimate: Estimate) -> Array | None:
-    """(T, m) of each innovation: the filter's own, else what the recording's linear model makes of its covariances."""
+    """(T, m) of each innovation: the filter's own, else by the recording's linear model, scaled to the filter's NIS.
+
+    What a filter made of the model's Q and R, by its parameters or as it went, stands nowhere but in its NIS.
+    """
     if "innovation_variance" in estimate.extras:
         known: Array = np.sqrt(estimate.extras["innovation_variance"])
         return known
@@ -152,7 +155,17 @@ def _innovation_deviation(estimate: Estimate) -> Array | None:
         + model.R
     )
     found: Array = np.sqrt(np.diagonal(S, axis1=-2, axis2=-1))
-    return found
+    return found * _scale(estimate, S)[:, None]
+
+
+def _scale(estimate: Estimate, S: Array) -> Array:
+    """(T,) root of what covariances S (T, m, m) of innovations have to be multiplied by for the filter's NIS."""
+    lost = ~np.isfinite(estimate.innovations)
+    v = np.where(lost, 0.0, estimate.innovations)
+    alone = np.where(lost[:, :, None] | lost[:, None, :], np.eye(v.shape[1]), S)
+    nis = np.einsum("ti,ti->t", v, np.linalg.solve(alone, v[:, :, None])[..., 0])
+    known = (nis > 0.0) & (estimate.nis > 0.0)
+    return np.sqrt(np.where(known, nis, 1.0) / np.where(known, estimate.nis, 1.0))
 
 
 def _innovations(axes: Any, estimate: Estimate) -> None:

@@ -31,6 +31,8 @@ do, and before them, if you like, a mapping file that says what each column hold
 reader that is not there is answered with those that are.
 """
 
+# by role of a device's channel, quantities whose column shows which one counts
+CHOSEN = {"position": ("lat", "px"), "velocity": ("vx",)}
 NAMED = 9  # columns of the line's name
 
 
@@ -63,7 +65,8 @@ def main(words: Sequence[str]) -> int:
     try:
         recording, warned = _read(reading, asked.log)
     except ValueError as error:
-        if asked.write_mapping is None or not asked.log.is_file():
+        textual = "delimiter" in options_of(reader_of(reading.format_of(asked.log)))
+        if asked.write_mapping is None or not asked.log.is_file() or not textual:
             raise
         begun = _write_mapping(asked.write_mapping, reading, asked.log, {})
         raise ValueError(f"{error} Say what the columns hold in {begun}.") from error
@@ -95,18 +98,31 @@ def _write_mapping(
 ) -> Path:
     """Write what is known of a log's columns as a mapping file; returns its path."""
     name = reading.format_of(log)
-    if "columns" not in options_of(reader_of(name)):
+    known = options_of(reader_of(name))
+    options = reading.options(name)
+    if "topics" in known:  # a device's log, whose columns are channels'
+        told = {
+            r: columns[q].rpartition(".")[0] for r, qs in CHOSEN.items() for q in qs if q in columns
+        }
+        return _put(
+            target,
+            written(name, {}, [], {**options, "topics": {**told, **(options.get("topics") or {})}}),
+        )
+    if "columns" not in known:
         raise ValueError(
             f"format {name!r} has no columns to say anything of: --write-mapping is for text logs."
         )
-    options = reading.options(name)
     delimiter, decimal, encoding = map(options.get, ("delimiter", "decimal", "encoding"))
     names = read_table(log, delimiter, decimal=decimal, encoding=encoding).cells
     others = [each for each in names if each not in columns.values()]
+    return _put(target, written(name, columns, others, options))
+
+
+def _put(target: Path, text: str) -> Path:
     if target.exists():
         raise ValueError(f"{target} exists: name another file, or remove it.")
     with replacing(target, text=True) as file:
-        file.write(written(name, columns, others, options))
+        file.write(text)
     return target
 
 

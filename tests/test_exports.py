@@ -161,3 +161,17 @@ def test_the_sample_log_is_read_with_what_its_logger_did_to_it():
     )
     found = navgym.inspect(navgym.sample_log())
     assert {f.kind for f in found.findings} == {"held", "order"}
+
+
+@pytest.mark.parametrize("parameters", [None, {"measurement_noise_scale": 0.01}])
+def test_a_plot_s_innovations_are_as_far_off_as_the_filter_s_nis_says(parameters):
+    found = navgym.estimate("kf", navgym.simulate("auv/nominal", seed=1, steps=200), parameters)
+    axes = found.plot().axes[2]
+    assert "over σ" in axes.get_ylabel()
+    drawn = np.stack(
+        [line.get_ydata() for line in axes.get_lines() if len(line.get_xdata()) == 200]
+    )
+    heard = ~found.recording.lost.any(axis=1)
+    squares = (drawn[:, heard] ** 2).mean(axis=0)
+    nis = found.nis[heard] / found.innovations.shape[1]
+    assert squares.mean() == pytest.approx(nis.mean(), rel=0.1)  # axes of one covariance are mixed

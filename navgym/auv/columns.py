@@ -16,7 +16,7 @@ from navgym.core.checks import Array, one_of
 from navgym.core.clocks import Times, read_times
 from navgym.core.layout import LOST
 from navgym.core.notes import Notes
-from navgym.core.repeats import is_held, repeats
+from navgym.core.repeats import is_held, quantum, repeats
 from navgym.core.tables import Table
 from navgym.core.units import DEGREE
 
@@ -150,7 +150,8 @@ class Columns:
             return
         share = f"{repeated.sum() / max((~np.isnan(raw).any(axis=1)).sum(), 1):.0%}"
         what = f"{share} of the rows with {' and '.join(names)} repeat the values before them"
-        decided = held == "lost" or is_held(raw, repeated, [self._quantum(n) for n in names])
+        digits = [max(self._quantum(n), quantum(x)) for n, x in zip(names, raw.T, strict=True)]
+        decided = held == "lost" or is_held(raw, repeated, digits)
         if decided:
             self.notes.doubt(f"{what}: taken for held, not new, so lost; held='keep' keeps them")
             raw[repeated] = np.nan

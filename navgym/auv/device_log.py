@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from navgym.auv.csv_log import recording_of
 from navgym.auv.log import component_names
 from navgym.core.checks import Array
 from navgym.core.notes import Notes, Progress
+from navgym.core.tables import Table
 from navgym.formats.channels import ESTIMATE, Channel, Channels
 from navgym.formats.choose import check_roles, chosen
 from navgym.formats.frames import attitude_at, world_velocity
@@ -82,38 +83,77 @@ def read_log(
         ImportError: naming the extra that reads such files.
         ValueError: a damaged or foreign file, several channels that could be meant, and as `read_csv`.
     """
-    told = check_roles(topics, ROLES)
-    channels = read_channels(path, kind)
-    notes = Notes(channels.path.name)
-    channels.tell(notes)
-    said = notes.sentences
-    there, heading = _channels(channels, told, lever_arm is not None, said)
-    deep = {"pz", "vz"}.difference(() if model is None else component_names(model)[0])
-    own = {
-        quantity: channel.column(name)
-        for channel in there
-        for quantity, name in QUANTITIES[channel.kind].items()
-        if not np.isnan(channel[name]).all() and quantity not in deep
-    }
-    more = {} if heading is None else {HEADING: [_headings(heading, c) for c in there]}
-    table = rows_of(channels.path, there, said, more)
-    own |= {"time": TIME} | ({} if heading is None else {"heading": HEADING})
-    known = {q: unit for q, unit in UNITS.items() if q in own}
+    told = Told.of(path, kind, topics, model, lever_arm is not None)
     with Progress(f"reading {Path(path).name}") as progress:
         return recording_of(
-            table, progress, model=model, columns=own | dict(columns or {}),
-            units={**known, "time": "ns", **(units or {})}, missing=missing, extra="ignore",
+            told.table, progress, model=model, columns={**told.columns, **(columns or {})},
+            units={**told.units, **(units or {})}, missing=missing, extra="ignore",
             sort=sort, held=held, origin=origin, lever_arm=lever_arm, latency=latency,
             accuracy_floor=accuracy_floor, position_noise=position_noise,
             velocity_noise=velocity_noise, acceleration=acceleration,
-            meta={"format": "log", "kind": channels.format},
+            meta={"format": "log", "kind": told.kind},
         )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What a log tells of positions and velocities.
+
+    Args:
+        kind: of the file.
+        table: a row for each row of each channel.
+        columns: of the table, by quantity.
+        units: of columns, by quantity.
+        channels: that measure: a position, a velocity, or both.
+        attitude: which turns and moves them, or could, or None.
+        turned: whether the velocity is of a sensor in the vehicle's axes.
+    """
+
+    kind: str
+    table: Table
+    columns: Mapping[str, str]
+    units: Mapping[str, str]
+    channels: Sequence[Channel]
+    attitude: Channel | None
+    turned: bool
+
+    @classmethod
+    def of(
+        cls,
+        path: str | os.PathLike[str],
+        kind: str | None,
+        topics: Mapping[str, str] | None,
+        model: Model | None,
+        levered: bool,
+    ) -> Told:
+        """What a file tells; arguments and errors of `read_log`."""
+        told = check_roles(topics, ROLES)
+        channels = read_channels(path, kind)
+        notes = Notes(channels.path.name)
+        channels.tell(notes)
+        said = notes.sentences
+        there, attitude, turned = _channels(channels, told, levered, said)
+        heading = attitude if levered else None
+        deep = {"pz", "vz"}.difference(() if model is None else component_names(model)[0])
+        own = {
+            quantity: channel.column(name)
+            for channel in there
+            for quantity, name in QUANTITIES[channel.kind].items()
+            if not np.isnan(channel[name]).all() and quantity not in deep
+        }
+        more = {} if heading is None else {HEADING: [_headings(heading, c) for c in there]}
+        table = rows_of(channels.path, there, said, more)
+        own |= {"time": TIME} | ({} if heading is None else {"heading": HEADING})
+        known = {q: unit for q, unit in UNITS.items() if q in own} | {"time": "ns"}
+        if attitude is None:
+            attitude = _only(channels)
+        return cls(channels.format, table, own, known, there, attitude, turned)
 
 
 def _channels(
     channels: Channels, topics: Mapping[str, str], levered: bool, said: list[str]
-) -> tuple[list[Channel], Channel | None]:
-    """Those that measure, a velocity in our axes, and the attitude if it is needed."""
+) -> tuple[list[Channel], Channel | None, bool]:
+    """Those that measure, a velocity in our axes, the attitude if it is needed, and whether it turned."""
     position = chosen(channels, "position", ("fix", "position"), topics, said)
     estimated = position is not None and position.rank == ESTIMATE
     velocity = chosen(
@@ -133,9 +173,16 @@ def _channels(
     attitude = None
     if levered or (velocity is not None and velocity.kind == "body_velocity"):
         attitude = chosen(channels, "attitude", ("attitude",), topics, said)
-    if velocity is not None and velocity.kind == "body_velocity":
+    turned = velocity is not None and velocity.kind == "body_velocity"
+    if velocity is not None and turned:
         velocity = _turned(channels, velocity, attitude, position is None, said)
-    return [c for c in (position, velocity) if c is not None], attitude if levered else None
+    return [c for c in (position, velocity) if c is not None], attitude, turned
+
+
+def _only(channels: Channels) -> Channel | None:
+    """The attitude of a log that has one."""
+    there = channels.of("attitude")
+    return there[0] if len(there) == 1 else None
 
 
 def _turned(

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from navgym.auv.device_log import Told
 from navgym.auv.fields import SENSORS
 from navgym.auv.log import STATES_3D, Log, component_names
 from navgym.core.checks import Array
 from navgym.core.notes import Notes
 from navgym.core.tables import Table, read_table
+from navgym.formats.channels import KINDS, SECOND
+from navgym.formats.rows import TIME, owners
 from navgym.inspection import motion as moving
 from navgym.inspection import noise, timing
 from navgym.inspection.findings import Channel, Evidence, Finding
@@ -26,22 +31,31 @@ MISLED = (
     4.0,
     100.0,
 )  # times: scatter over the receiver's own accuracy, and the accuracy over the scatter
+DISAGREEING = ("frame", "axes", "units", "scale", "sign", "rotation")  # that make noise of no noise
 DIGITS = 3  # of a suggested number
 
 
 @dataclass(frozen=True, eq=False)
 class _Raw:
-    """What the file held before the reader mended it.
+    """What the file held before the reader sorted and merged its rows.
 
     Args:
         time: (T,) s, in order.
-        columns: (T,) by quantity, m, m/s, rad.
+        columns: (T,) by quantity, m, m/s; NaN where lost.
         sigma: (T, m) the receiver's own accuracies, NaN where it tells none.
+        heading: (H,) s and (H,) rad, or None.
+        own: (T,) rows of each sensor, where each has rows of its own; else empty.
+        names: of the velocities' columns.
+        turned: whether the velocity is of a sensor in the vehicle's axes, turned by the heading.
     """
 
     time: Array
     columns: Mapping[str, Array]
     sigma: Array
+    heading: tuple[Array, Array] | None
+    own: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+    names: tuple[str, str] = ("vx", "vy")
+    turned: bool = False
 
 
 def evidence(recording: Recording, log: Path, options: Mapping[str, Any]) -> Evidence:
@@ -51,21 +65,27 @@ def evidence(recording: Recording, log: Path, options: Mapping[str, Any]) -> Evi
     raw = _raw(recording, log, options)
     channels = _channels(recording, names, raw)
     both = _motion(recording, names)
-    findings = [*timing.gaps(recording.time, "", both), *timing.rate(recording.time)]
-    heading = None if raw is None else raw.columns.get("heading")
+    findings = [*_of_times(recording, raw, both)]
     if both is not None:
-        findings += _of_motion(both, heading, raw)
-    if raw is not None:
+        findings += _of_motion(both, raw, recording.meta.get("columns", {}))
+    if raw is not None and not any(f.kind in DISAGREEING for f in findings):
         findings += _accuracy(recording, names, raw, both)
-    lines, words = _noise(recording, known, both)
+    lines, words = _noise(recording, known, both, raw)
     track = _track(recording, names)
     return Evidence(channels, findings, lines, words, track)
 
 
 def _raw(recording: Recording, log: Path, options: Mapping[str, Any]) -> _Raw | None:
-    """The columns of a text log; None for other formats."""
-    if recording.meta.get("format") != "csv" or not log.is_file():
+    """The columns of a text log, or of a device's; None for other formats."""
+    made = {"csv": _of_text, "log": _of_device}.get(str(recording.meta.get("format")))
+    if made is None or not log.exists():
         return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # said when the log was read
+        return made(recording, log, options)
+
+
+def _of_text(recording: Recording, log: Path, options: Mapping[str, Any]) -> _Raw:
     told = {n: options.get(n) for n in ("delimiter", "decimal", "encoding")}
     table: Table = read_table(
         log, told["delimiter"], decimal=told["decimal"], encoding=told["encoding"]
@@ -77,9 +97,43 @@ def _raw(recording: Recording, log: Path, options: Mapping[str, Any]) -> _Raw | 
     y = np.full((len(table), len(held.measured)), np.nan)
     time, _ = held.times(options.get("time_scale") or _time_scale(held, recording), y)
     index = np.argsort(time, kind="stable")
-    wanted = [n for n in (*held.measured, "heading") if n in held.fields]
-    columns = {n: held.columns.numbers(n)[index] for n in wanted}
-    return _Raw(time[index], columns, held.columns.sigmas(held.measured, 0.0)[index])
+    columns = {n: held.columns.numbers(n)[index] for n in held.measured if n in held.fields}
+    heading = None
+    if "heading" in held.fields:
+        heading = time[index], held.columns.numbers("heading")[index]
+    return _Raw(time[index], columns, held.columns.sigmas(held.measured, 0.0)[index], heading)
+
+
+def _of_device(recording: Recording, log: Path, options: Mapping[str, Any]) -> _Raw:
+    """Each sensor's own rows, which a recording merges and fills with losses of the others."""
+    told = Told.of(log, options.get("kind"), options.get("topics"), options.get("model"),
+                   options.get("lever_arm") is not None)  # fmt: skip
+    held = Log.of(
+        told.table, options.get("model"), {**told.columns, **(options.get("columns") or {})},
+        {**told.units, **(options.get("units") or {})}, options.get("missing") or (), "ignore",
+        Notes(told.table.path.name),
+    )  # fmt: skip
+    origin = recording.meta.get("origin")
+    y, _ = held.measurements(options.get("held") or "auto", None, origin and tuple(origin))
+    time = held.columns.times(None).seconds
+    start = float(time[0])
+    index = np.argsort(time, kind="stable")
+    owner = owners(told.channels)[index]
+    own = {
+        "velocity" if "vn" in KINDS[c.kind] else "position": owner == k
+        for k, c in enumerate(told.channels)
+    }
+    heading = None
+    if told.attitude is not None:
+        since = (told.attitude.time - int(told.table.cells[TIME][0])) / SECOND
+        heading = start + since, told.attitude["heading"]
+    columns = {n: y[index, j] for j, n in enumerate(held.measured)}
+    sigma = held.columns.sigmas(held.measured, 0.0)[index]
+    velocity = next((c for c in told.channels if c.kind == "velocity"), None)
+    names = ("vx", "vy")
+    if velocity is not None and told.turned:
+        names = (f"{velocity.name}.u", f"{velocity.name}.v")
+    return _Raw(time[index], columns, sigma, heading, own, names, told.turned)
 
 
 def _time_scale(held: Log, recording: Recording) -> float | None:
@@ -91,6 +145,18 @@ def _time_scale(held: Log, recording: Recording) -> float | None:
     span, own = np.ptp(found.seconds), np.ptp(recording.time)
     near = [u for u in (1e-3, 1e-6, 1e-9) if span > 0.0 and 0.5 < own / (span * u) < 2.0]
     return near[0] if near and found.kind == "number" and not found.guessed else None
+
+
+def _of_times(recording: Recording, raw: _Raw | None, both: Motion | None) -> Iterator[Finding]:
+    """Gaps and rates: of all rows, and of each sensor where it has rows of its own."""
+    yield from timing.gaps(recording.time, "", both)
+    if raw is None or not raw.own:
+        yield from timing.rate(recording.time)
+        return
+    whole = timing.long_steps(recording.time)
+    for sensor, mine in raw.own.items():
+        yield from timing.gaps(raw.time[mine], sensor, both, whole)
+        yield from timing.rate(raw.time[mine], sensor)
 
 
 _KIND = {n: sensor for sensor, names in SENSORS.items() for n in names}
@@ -106,28 +172,26 @@ def _channels(recording: Recording, names: list[str], raw: _Raw | None) -> list[
     found = []
     for j, name in enumerate(names):
         kind = _KIND.get(name, "other")
-        own = raw.columns.get(name) if raw is not None else None
-        # after the reader has dropped repeats and sentinels, the file's own column would say them again
-        time, values = (raw.time, own) if own is not None and raw is not None and not mended else (
-            recording.time, recording.measurements[:, j]
-        )  # fmt: skip
+        time, values = _series(recording, j, name, kind, raw, bool(mended))
         values = np.where(_sentinels(values), np.nan, values)
-        found.append(
-            Channel(
-                name,
-                kind if kind != "other" else name,
-                kind,
-                _UNIT.get(kind, ""),
-                time,
-                values,
-                mended,
-            )
-        )
-    if raw is not None and "heading" in raw.columns:
-        found.append(
-            Channel("heading", "heading", "angle", "rad", raw.time, raw.columns["heading"])
-        )
+        sensor = kind if kind != "other" else name
+        found.append(Channel(name, sensor, kind, _UNIT.get(kind, ""), time, values, mended))
+    if raw is not None and raw.heading is not None:
+        time, heading = raw.heading
+        found.append(Channel("heading", "heading", "angle", "rad", time, heading))
     return found
+
+
+def _series(
+    recording: Recording, j: int, name: str, kind: str, raw: _Raw | None, mended: bool
+) -> tuple[Array, Array]:
+    """Times and values of a component: its sensor's own rows, else the file's, else the recording's."""
+    if raw is not None and name in raw.columns and kind in raw.own:
+        return raw.time[raw.own[kind]], raw.columns[name][raw.own[kind]]
+    # after the reader has dropped repeats and sentinels, the file's own column would say them again
+    if raw is not None and name in raw.columns and not raw.own and not mended:
+        return raw.time, raw.columns[name]
+    return recording.time, recording.measurements[:, j]
 
 
 def _sentinels(values: Array) -> Any:
@@ -148,16 +212,28 @@ def _motion(recording: Recording, names: list[str]) -> Motion | None:
     return None if p is None or v is None else Motion.of(recording.time, p, v)
 
 
-def _of_motion(both: Motion, heading: Array | None, raw: _Raw | None) -> Iterator[Finding]:
+def _of_motion(both: Motion, raw: _Raw | None, columns: Mapping[str, str]) -> Iterator[Finding]:
     time = psi = None
-    if heading is not None and raw is not None:
-        there = np.isfinite(heading) & (np.diff(raw.time, prepend=-np.inf) > 0.0)
+    if raw is not None:
+        both = replace(both, names=(*both.names[:2], *raw.names), geographic="lat" in columns)
+    if raw is not None and raw.heading is not None:
+        stamps, heading = raw.heading
+        there = np.isfinite(heading) & (np.diff(stamps, prepend=-np.inf) > 0.0)
         if there.sum() >= FEWEST:
-            time, psi = raw.time[there], heading[there]
-    found = moving.disagreements(both, psi, time)
+            time, psi = stamps[there], heading[there]
+    turned = raw is not None and raw.turned
+    found = [_spelt(f, columns) for f in moving.disagreements(both, psi, time, turned)]
     yield from found
     if psi is not None and time is not None and not found:
-        yield from moving.heading_of(both, psi, time)
+        for f in moving.heading_of(both, psi, time):
+            yield replace(f, options=()) if raw is not None and raw.own else f  # in rad, by format
+
+
+def _spelt(finding: Finding, columns: Mapping[str, str]) -> Finding:
+    """The finding with options that name the file's columns in place of our quantities."""
+    pairs = zip(finding.options[::2], finding.options[1::2], strict=True)
+    told = [w for n, v in pairs for w in (n, columns.get(v, v) if n.startswith("columns.") else v)]
+    return replace(finding, options=tuple(told))
 
 
 def _accuracy(
@@ -172,7 +248,9 @@ def _accuracy(
         if len(told) < FEWEST or not seen:
             continue
         usual = float(np.median(told))
-        if seen > MISLED[0] * usual or usual > MISLED[1] * seen:
+        # a device's accuracy is in m, and rightly holds errors that last longer than samples
+        timid = not raw.own and usual > MISLED[1] * seen
+        if seen > MISLED[0] * usual or timid:
             yield Finding(
                 "accuracy", name,
                 f"the receiver tells {usual:.3g} {_UNIT.get(_KIND.get(name, ''), '')} (median), and its values scatter by "
@@ -197,7 +275,7 @@ def _scatter(recording: Recording, j: int, name: str, both: Motion | None) -> fl
 
 
 def _noise(
-    recording: Recording, known: list[str], both: Motion | None
+    recording: Recording, known: list[str], both: Motion | None, raw: _Raw | None
 ) -> tuple[list[tuple[str, str]], tuple[str, ...]]:
     """What differences suggest, as lines, and as options of the reader."""
     names = list(component_names(recording.model)[0])
@@ -222,8 +300,12 @@ def _noise(
         for n, unit in units.items()
         if n in best
     ]
-    told = recording.meta.get("format") == "csv"
-    words = [w for n in units if n in best for w in (n, f"{best[n]:.{DIGITS}g}")] if told else []
+    # what the receiver tells row by row goes before an option
+    own = set() if raw is None else {
+        f"{_KIND.get(n, '')}_noise" for j, n in enumerate(names) if np.isfinite(raw.sigma[:, j]).any()
+    }  # fmt: skip
+    told = [n for n in units if n in best and n not in own] if raw is not None else []
+    words = [w for n in told for w in (n, f"{best[n]:.{DIGITS}g}")]
     return lines, tuple(words)
 
 

@@ -14,6 +14,9 @@ Flags = NDArray[np.bool_]
 HELD_SHARE = 0.05  # of received values: fewer repeats do no harm
 HELD_COUNT = 5  # how often a value must change, and repeat, before that says anything
 FINE, FAIR = 10.0, 3.0  # quanta by which values change; see `is_held`
+WIDE = 50.0  # quanta: longer steps are not looked at
+# least steps, and of a quantum by which they may miss multiples: few have to be exact
+ON_GRID = ((8, 0.05), (3, 1e-3), (2, 1e-6))
 
 
 def repeats(values: Array) -> Flags:
@@ -57,3 +60,20 @@ def is_held(values: Array, repeated: Flags, quanta: Sequence[float]) -> bool | N
     if size >= FINE or (size >= FAIR and np.mean(runs > 1) > 0.9):
         return True
     return None if np.mean(runs > 1) > 0.9 else False
+
+
+def quantum(values: Array) -> float:
+    """The step of which all steps between values (T,) are multiples; 0 where there is none.
+
+    So digits show that went through other units, such as minutes of a degree.
+    """
+    levels = np.unique(values[np.isfinite(values)])
+    steps = np.diff(levels)
+    steps = steps[steps > 1e-12 * max(float(np.abs(levels).max(initial=0.0)), 1e-300)]
+    if not len(steps):
+        return 0.0
+    counts = steps / steps.min()
+    near = counts[counts < WIDE]
+    miss = float(np.abs(near - np.round(near)).max())
+    fits = any(len(near) >= max(least, len(steps) // 2) and miss < m for least, m in ON_GRID)
+    return float(steps.min()) if fits else 0.0

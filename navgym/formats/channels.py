@@ -34,6 +34,7 @@ KINDS: dict[str, dict[str, float]] = {
 }  # fmt: skip
 # ranks: a sensor, one of several alike, what a filter made of others
 SENSOR, FURTHER, ESTIMATE = 0, 1, 2
+ESTIMATED = ", an estimate"
 LOSSES = (
     "fix",
     "velocity",
@@ -66,6 +67,13 @@ class Channel:
         found: Array = self.values[:, list(KINDS[self.kind]).index(quantity)]
         return found
 
+    @property
+    def pace(self) -> str:
+        """How many rows in which time, and their usual rate."""
+        span, steps = np.ptp(self.time) / SECOND, np.diff(np.unique(self.time))
+        rate = f", {SECOND / float(np.median(steps)):.3g} Hz" if len(steps) else ""
+        return f"{len(self)} rows in {span:.6g} s{rate}"
+
     def column(self, quantity: str) -> str:
         """What a column of it is called in tables, mapping files and errors."""
         return f"{self.name}.{quantity}"
@@ -92,6 +100,11 @@ class Channels:
     def of(self, *kinds: str) -> list[Channel]:
         """Channels of these kinds."""
         return [each for each in self.found if each.kind in kinds]
+
+    @property
+    def summary(self) -> list[str]:
+        """A line for each channel: what it holds, how many rows, how often."""
+        return [f"{c.name}: {c.kind.replace('_', ' ')}, {c.pace}{ESTIMATED * (c.rank == ESTIMATE)}" for c in self.found]  # fmt: skip
 
     def tell(self, notes: Notes) -> None:
         """Hand on what was said."""
@@ -166,7 +179,7 @@ class Gatherer:
         ]  # fmt: skip
         kept = [_checked(each) for each in (*found, *self.whole)]
         silent = [each for each in kept if not len(each)]
-        said = [*self.said, *(f"{s.name} holds no {s.kind.replace('_', ' ')}" for s in silent)]
+        said = [*self.said, *(f"{'the estimate ' * (s.rank == ESTIMATE)}{s.name} holds no {s.kind.replace('_', ' ')}" for s in silent)]  # fmt: skip
         there = [each for each in kept if len(each)]
         return Channels(self.path, self.format, there, said, self.doubts)
 

@@ -49,7 +49,9 @@ def read(path: Path, gatherer: Gatherer) -> None:
                 _take(gatherer, accuracy, name, instance, time, columns)
     finally:
         log.close()
-    if unread > PADDING:
+    if unread < 0:
+        gatherer.doubts.append("the last message was cut off: left out")
+    elif unread > PADDING:
         gatherer.doubts.append(f"{unread} bytes are in no message that is known: left out")
     elif unread:
         gatherer.said.append(f"{unread} bytes, as at the end of a log, are left out")
@@ -71,9 +73,7 @@ def _instances(log: Any, name: str) -> list[tuple[int, Stamps, Columns]]:
     columns = _columns(log, name)
     if not columns:
         return []
-    if "TimeUS" not in columns:
-        raise ValueError(f"{name} tells no TimeUS: the log is older than ArduPilot 3.3")
-    stamps = columns["TimeUS"]
+    stamps = _since_boot(name, columns)
     wrong = ~((stamps >= 0) & (stamps < LATEST))
     if wrong.any():
         raise ValueError(f"a {name} of {stamps[np.argmax(wrong)]:g} us after boot")
@@ -88,6 +88,16 @@ def _instances(log: Any, name: str) -> list[tuple[int, Stamps, Columns]]:
         rows = told == each
         found.append((int(each), time[rows], {k: v[rows] for k, v in columns.items()}))
     return found
+
+
+def _since_boot(name: str, columns: Columns) -> Array:
+    """us; before ArduPilot 3.3 there were ms, those of a receiver beside the week's."""
+    if "TimeUS" in columns:
+        return columns["TimeUS"]
+    for old in ("T", "TimeMS"):
+        if old in columns:
+            return columns[old] * 1e3
+    raise ValueError(f"{name} tells no TimeUS, T or TimeMS: no time is known")
 
 
 def _columns(log: Any, name: str) -> Columns:

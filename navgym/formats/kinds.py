@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import importlib
 import os
 import re
 import warnings
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -47,7 +49,7 @@ KINDS: dict[str, Kind] = {
     "ulog": Kind(rf"{_NAME}\nULog\x01\x12", "navgym.formats.ulog", "px4"),
     "ardupilot": Kind(rf"{_NAME}\n\ufffd\ufffd\ufffd\ufffd", "navgym.formats.dataflash", "ardupilot"),
     "tlog": Kind(rf"{_NAME}\.tlog(\.gz)?\n", "navgym.formats.tlog", "ardupilot"),
-    "nmea": Kind(r"\n([^\n,*$!]{0,40}[ ,;\t])?\$[A-Z]{2}[A-Z]{3},[^\n*]*\*[0-9A-F]{2}", "navgym.formats.nmea", "nmea"),
+    "nmea": Kind(r"\n([^\n,*$!]{0,40}[ ,;\t])?\$[A-Z]{2}[A-Z\d]{2,8},[^\n*]*\*[0-9A-F]{2}", "navgym.formats.nmea", "nmea"),
     "pd0": Kind(rf"{_NAME}\n\x7f\x7f", "navgym.formats.pd0", ""),
     "sbet": Kind(rf"{_NAME}(\.sbet|sbet[^\n]*\.out)\n", "navgym.formats.sbet", ""),
 }  # fmt: skip
@@ -91,6 +93,29 @@ def read_channels(path: str | os.PathLike[str], kind: str | None = None) -> Chan
         ImportError: the kind needs an extra of navgym; it is named.
         ValueError: a damaged file, one of another kind, one that holds no channel.
     """
+    kept = _KEPT.get()
+    asked = os.fspath(path), kind
+    if kept is None:
+        return _read(*asked)
+    if asked not in kept:
+        kept[asked] = _read(*asked)
+    return kept[asked]
+
+
+_KEPT: ContextVar[dict[tuple[str, str | None], Channels] | None] = ContextVar("kept", default=None)
+
+
+@contextlib.contextmanager
+def kept_channels() -> Iterator[None]:
+    """Within it, `read_channels` reads a file once, for whoever asks again."""
+    token = _KEPT.set({})
+    try:
+        yield
+    finally:
+        _KEPT.reset(token)
+
+
+def _read(path: str, kind: str | None) -> Channels:
     source = Path(path)
     name = kind_of(source) if kind is None else one_of("kind", kind, KINDS)
     if not source.exists():

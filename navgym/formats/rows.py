@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navgym.core.checks import Array
 from navgym.core.tables import Cells, Table
@@ -29,8 +30,7 @@ def rows_of(path: Path, channels: Sequence[Channel], said: Sequence[str] = (), m
         more: further columns, for each channel its values.
     """
     time = np.concatenate([c.time for c in channels])
-    highest = np.concatenate([np.maximum.accumulate(c.time) for c in channels])
-    index = np.argsort(highest, kind="stable")
+    index = _index(channels)
     bounds = np.cumsum([0, *map(len, channels)])
     cells: dict[str, Sequence[str]] = {TIME: Cells.of_numbers(time[index])}
     for k, channel in enumerate(channels):
@@ -42,6 +42,18 @@ def rows_of(path: Path, channels: Sequence[Channel], said: Sequence[str] = (), m
     for name, parts in (more or {}).items():
         cells[name] = Cells.of_numbers(np.concatenate(parts)[index])
     return Table(path, cells, index + 1, said=said)
+
+
+def _index(channels: Sequence[Channel]) -> NDArray[np.intp]:
+    """Which row of the channels, one after the other, each row of their table is."""
+    highest = np.concatenate([np.maximum.accumulate(c.time) for c in channels])
+    return np.argsort(highest, kind="stable")
+
+
+def owners(channels: Sequence[Channel]) -> NDArray[np.intp]:
+    """Of which channel each row of the table of `rows_of` is, (T,)."""
+    own: NDArray[np.intp] = np.repeat(np.arange(len(channels)), [len(c) for c in channels])
+    return own[_index(channels)]
 
 
 def ordered(channel: Channel, said: list[str]) -> Channel:

@@ -6,7 +6,10 @@ serve only where a message tells no time of its own.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import math
+import mmap
 from array import array
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -32,20 +35,34 @@ EVERY = 5000  # messages between two reports of progress
 
 def read(path: Path, gatherer: Gatherer) -> None:
     """Every channel of a log whose message is known, by message and system, such as ATTITUDE@1."""
-    with opened(path) as file:
-        data = file.read()
-    packets, clock = _Packets(data), _Clock()
-    for count, (received, message) in enumerate(packets):
-        kind = message.get_type()
-        stamp = clock.stamp(message, received)
-        TAKERS[kind](gatherer, f"{kind}@{message.get_srcSystem()}", stamp, message)
-        if count % EVERY == 0:
-            gatherer.progress.at(packets.at / len(data))
+    clock = _Clock()
+    with _content(path) as data:
+        packets = _Packets(data)
+        for count, (received, message) in enumerate(packets):
+            kind = message.get_type()
+            stamp = clock.stamp(message, received)
+            TAKERS[kind](gatherer, f"{kind}@{message.get_srcSystem()}", stamp, message)
+            if count % EVERY == 0:
+                gatherer.progress.at(packets.at / len(data))
     clock.settle(gatherer)
     if packets.bad > ALL_BAD * packets.count:
         raise ValueError(f"{packets.bad} of {packets.count} packets are damaged")
     if packets.bad:
         gatherer.doubts.append(f"{packets.bad} of {packets.count} packets are damaged: left out")
+    if packets.missing:
+        whole = packets.count - packets.bad + packets.missing
+        gatherer.said.append(f"by their numbers {packets.missing} of {whole} packets ({packets.missing / whole:.1%}) were lost on the link")  # fmt: skip
+
+
+@contextlib.contextmanager
+def _content(path: Path) -> Iterator[bytes | mmap.mmap]:
+    """The bytes of a file, by pages as they are looked at; one that gzip packed is unpacked whole."""
+    with opened(path) as file:
+        if not isinstance(file, io.BufferedReader) or not path.stat().st_size:
+            yield file.read()
+            return
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            yield data
 
 
 class _Packets:
@@ -55,10 +72,11 @@ class _Packets:
     the time. Where no packet begins as it should, the next one with a right checksum is looked for.
     """
 
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, data: bytes | mmap.mmap) -> None:
         self.data = data
         self.at = 0  # where the next 8 bytes are
-        self.count = self.bad = 0
+        self.count = self.bad = self.missing = 0
+        self.numbers: dict[tuple[int, int], int] = {}  # the last one's, by system and component
         self.link = mavlink.MAVLink(None)
 
     def __iter__(self) -> Iterator[tuple[int, Any]]:
@@ -70,6 +88,7 @@ class _Packets:
             whole = 0 < end <= len(self.data)
             if whole and not wanted and not lost:
                 self.count += 1
+                self._numbered(begin)
                 self.at = end
                 continue
             message = self._decoded(begin, end) if whole else None
@@ -80,9 +99,19 @@ class _Packets:
                 self.at = self._next(begin + 1) - STAMP
                 continue
             self.count += 1
+            self._numbered(begin)
             lost, self.at = False, end
             if message.get_type() in TAKERS:
                 yield int.from_bytes(self.data[begin - STAMP : begin], "big"), message
+
+    def _numbered(self, begin: int) -> None:
+        """Count the packets that are missing before one, which counts its sender's packets to 255."""
+        at = begin + (2 if self.data[begin] == MARKERS[0] else 4)
+        number, *sender = self.data[at : at + 3]
+        last = self.numbers.get((sender[0], sender[1]), number - 1)
+        gone = (number - last - 1) % 256
+        self.missing += gone if gone < 240 else 0  # else it came twice, or late
+        self.numbers[sender[0], sender[1]] = number
 
     def _extent(self, begin: int) -> tuple[int, bool]:
         """Where a packet ends, 0 where none begins, and whether its type is wanted."""

@@ -23,6 +23,7 @@ KINDS: Mapping[str, tuple[str, str]] = {
     "untold": (ERROR, "the reader must be told something that no file says"),
     "columns": (ERROR, "no column, or more than one, could be what is needed"),
     "cut": (NOTE, "the last row is cut off"),
+    "damage": (WARNING, "parts of the file are damaged and left out"),
     # times
     "clock set": (ERROR, "the clock goes back, or jumps by more than a voyage"),
     "clock step": (WARNING, "time jumps and the vehicle does not: the clock was set forward"),
@@ -152,6 +153,8 @@ class Losses:
         mean: length of a run, rows.
         longest: of them.
         after_loss: share lost among rows after a lost one: above `share`, losses come in bursts.
+        every: rows from one received to the next where these come at a regular pace, rows from one
+            lost to the next (negative) where losses do; 0 where neither does.
     """
 
     sensor: str
@@ -161,19 +164,35 @@ class Losses:
     mean: float
     longest: int
     after_loss: float
+    every: float = 0.0
 
     @property
     def words(self) -> str:
         """In one line."""
         if not self.runs:
             return "none lost"
-        burst = "in bursts" if self.bursts else "independent"
-        return (f"{self.share:.1%} lost, {burst}: {self.runs} runs of {self.mean:.3g} rows on average, "
+        if self.runs == 1:
+            return f"{self.share:.1%} lost, {self.manner} of {self.longest} rows"
+        if self.every:
+            return f"{self.share:.1%} lost, {self.manner}, the longest run {self.longest}"
+        return (f"{self.share:.1%} lost, {self.manner}: {self.runs} runs of {self.mean:.3g} rows on average, "
                 f"the longest {self.longest}")  # fmt: skip
 
     @property
+    def manner(self) -> str:
+        """How losses come, in words; "" where there are none."""
+        if self.every:
+            who, pace = ("received", self.every) if self.every > 0.0 else ("lost", -self.every)
+            return f"regularly: one in {pace:.3g} rows is {who}"
+        if self.runs < 2:
+            return "in one run" * self.runs
+        return "in bursts" if self.bursts else "independent"
+
+    @property
     def bursts(self) -> bool:
-        """Whether a loss makes the next more likely, by three standard deviations."""
+        """Whether a loss makes the next more likely, by three standard deviations, and has no pace."""
+        if self.every:
+            return False
         lost = max(self.share * self.rows, 1.0)
         chance = math.sqrt(self.share * (1.0 - self.share) / lost)
         return self.after_loss - self.share > 3.0 * chance
@@ -213,6 +232,7 @@ class Inspection:
         noise: what the log suggests, lines of a name and a text.
         model: words for --read with the model that the log suggests.
         next: the command to run now.
+        command: the one that was run, "" for none.
         track: (north, east), m, or None.
         recording: what the reader made of it, or None.
     """
@@ -227,6 +247,7 @@ class Inspection:
     noise: Sequence[tuple[str, str]]
     model: tuple[str, ...]
     next: str
+    command: str = ""
     track: tuple[Array, Array] | None = field(default=None, repr=False)
     recording: Any = field(default=None, repr=False)
 

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from navgym.core.typed import options_of
+from navgym.formats.kinds import kept_channels, read_channels
 from navgym.inspection import series
 from navgym.inspection.findings import (
     SEVERITIES,
@@ -20,8 +22,13 @@ from navgym.inspection.findings import (
 from navgym.inspection.reading import Read, as_finding, read
 from navgym.inspection.timing import losses
 from navgym.problem import Problem
-from navgym.readers import ReaderOptions
+from navgym.readers import ReaderOptions, reader_of
 
+Line = tuple[str, str]
+
+AIDED = "log", "ins_log"  # formats of devices' logs: positions and velocities, or an IMU as well
+NO_IMU = "format 'log'"  # what an error says where there is none
+IMU = "'ins_log'"  # what an error says where there is an IMU and nothing else
 MENDABLE = 8  # findings whose options are put into the next command
 
 
@@ -42,25 +49,33 @@ def inspect(log: str | Path, *words: str, format_name: str | None = None) -> Ins
 
 def of(log: Path, reading: ReaderOptions) -> Inspection:
     """The same with a reader's options as they are."""
+    with kept_channels():  # read once, and looked at as the file has them and as a recording does
+        return _looked_over(log, reading)
+
+
+def _looked_over(log: Path, reading: ReaderOptions) -> Inspection:
     from navgym.read_command import following, told
 
     done = read(log, reading)
     name = reading.format_of(log)
+    held = _held(log, reading, name)
+    command = shlex.join(["navgym", "inspect", str(log), *_told(reading)])
     if done.recording is None:
         return Inspection(
-            str(log), name, "", (), tuple(done.findings), (), (), (), (), _refused(log, reading)
-        )
+            str(log), name, "", tuple(held), tuple(done.findings), (), (), (), (),
+            _refused(log, reading, name, held, done.findings), command,
+        )  # fmt: skip
     problem = done.reading.problem(log)
     evidence = _evidence(problem, log, done)
     lines = told(done.recording, problem)
     doubts = [as_finding(text) for name, text in lines if name == "doubt"]
-    lines = [(name, text) for name, text in lines if name != "doubt"]
+    lines = [*lines[:1], *held, *((name, text) for name, text in lines[1:] if name != "doubt")]
     said = [*done.findings, *(f for f in doubts if f is not None)]
     findings = _sorted([*said, *evidence.findings, *_of_channels(evidence.channels)])
     next_command = _next(log, done, findings, evidence, following, problem)
     return Inspection(
         str(log), name, problem.title, tuple(lines), findings, tuple(evidence.channels),
-        _losses(evidence.channels), tuple(evidence.noise), evidence.words, next_command,
+        _losses(evidence.channels), tuple(evidence.noise), evidence.words, next_command, command,
         evidence.track, done.recording,
     )  # fmt: skip
 
@@ -114,10 +129,33 @@ def _losses(channels: Sequence[Channel]) -> tuple[Losses, ...]:
 # ---- the command to run next
 
 
-def _refused(log: Path, reading: ReaderOptions) -> str:
-    """Where a file cannot be read: a mapping file to say in what its columns hold, for text files."""
+def _refused(
+    log: Path, reading: ReaderOptions, name: str, held: Sequence[Line], findings: Sequence[Finding]
+) -> str:
+    """Where a file cannot be read: in a text file, say what columns hold; of an IMU alone, another format."""
     words = ["navgym", "read", str(log), *_told(reading)]
-    return shlex.join([*words, "--write-mapping", "mapping.toml"] if log.is_file() else words)
+    if log.is_file() and "delimiter" in options_of(reader_of(name)):
+        words += ["--write-mapping", "mapping.toml"]
+    elif name == AIDED[0] and held and any(IMU in f.said for f in findings):
+        words = ["navgym", "inspect", str(log), "--format", AIDED[1]]
+    elif held and any(NO_IMU in f.said for f in findings):
+        words = ["navgym", "inspect", str(log)]
+    return shlex.join(words)
+
+
+def _held(log: Path, reading: ReaderOptions, name: str) -> list[Line]:
+    """What a device's log holds, a line for each channel, whatever of it counts."""
+    if not name.endswith(AIDED[0]):
+        return []
+    try:
+        channels = read_channels(log, reading.options(name).get("kind"))
+    except ValueError:
+        return []
+    lines = [("holds", text) for text in channels.summary]
+    if name == AIDED[0] and channels.of("imu") and channels.of("fix", "body_velocity"):
+        more = ["navgym", "inspect", str(log), "--format", AIDED[1]]
+        lines.append(("also", f"an IMU, with what aids it: {shlex.join(more)}"))
+    return lines
 
 
 def _told(reading: ReaderOptions) -> list[str]:

@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 from navgym.core.checks import Array
 from navgym.inspection.findings import Finding
 
+PLACES, SPEEDS = ("px", "py"), ("vx", "vy")  # what the reader's options call the channels
 WINDOWS = 24  # into which a log is cut
 FEWEST = 8  # windows
 GAP = 5.0  # usual steps: what velocities say over a longer gap is left out
 BETTER = 4.0  # times the sum of squares: with 16 numbers, chance passes it less than once in 1e4
 EXPLAINED = 0.3  # share of the displacements that a good arrangement leaves at most
+ALIKE = 1.5  # ratio of sums of squares that tells nothing
 SIGMAS = 7.0  # of windows whose worth differs: fewer say too much
 SCALED, TURNED = 0.05, math.radians(3.0)  # what of scale and turn is worth a word
 LONGEST_DELAY, TRIED = 10.0, (0.1, 0.2, 0.5, 1.0, 2.0)  # s; beside multiples of the step
@@ -47,6 +49,7 @@ class Motion:
         time: (V,) s, strictly in order.
         velocity: (V, 2) m/s.
         names: of the four channels: two positions, two velocities.
+        geographic: whether positions came in degrees, so that no unit of length can be wrong.
     """
 
     fix_time: Array
@@ -54,6 +57,7 @@ class Motion:
     time: Array
     velocity: Array
     names: tuple[str, str, str, str] = ("px", "py", "vx", "vy")
+    geographic: bool = False
 
     @classmethod
     def of(cls, time: Array, fixes: Array, velocity: Array, **more: object) -> Motion | None:
@@ -112,19 +116,26 @@ class Motion:
 # ---- what does not fit
 
 
-def disagreements(motion: Motion, heading: Array | None = None, heading_time: Array | None = None) -> list[Finding]:  # fmt: skip
+def disagreements(
+    motion: Motion,
+    heading: Array | None = None,
+    heading_time: Array | None = None,
+    turned: bool = False,
+) -> list[Finding]:
     """What is wrong between positions and velocities: the first of frame, axes, units, scale and turn; and delay.
 
     Args:
         motion: of a log.
         heading: (H,) rad, north to east, or None.
         heading_time: (H,) s.
+        turned: whether the velocities are a sensor's in the vehicle's axes, turned by the heading.
     """
     at = motion.windows(WINDOWS)
     if len(at) < FEWEST + 1 or motion.whole(at).sum() < FEWEST:
         return []
     if heading is not None and heading_time is not None:
-        body = _body(motion, at, heading, heading_time)
+        c, s = (np.interp(motion.time, heading_time, f(heading)) for f in (np.cos, np.sin))
+        body = [*(_mounted if turned else _body)(motion, at, c, s)]
         if body:
             return body
     found = [*_arrangement(motion, at)]
@@ -140,12 +151,14 @@ def _left(moved: Array, told: Array) -> tuple[float, float]:
     return factor, float(((moved - factor * told) ** 2).sum())
 
 
-def _body(
-    motion: Motion, at: NDArray[np.intp], heading: Array, heading_time: Array
-) -> list[Finding]:
-    c, s = (np.interp(motion.time, heading_time, f(heading)) for f in (np.cos, np.sin))
-    x, y = motion.velocity.T
-    turned = np.stack([c * x - s * y, s * x + c * y], axis=-1)
+def _turned(v: Array, c: Array, s: Array) -> Array:
+    """(V, 2) turned by angles of cosine c and sine s, (V,)."""
+    x, y = v.T
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
+
+
+def _body(motion: Motion, at: NDArray[np.intp], c: Array, s: Array) -> list[Finding]:
+    turned = _turned(motion.velocity, c, s)
     moved, told = motion.moved(at)
     own, other = _left(moved, told)[1], _left(moved, motion.moved(at, turned)[1])[1]
     if not (own > BETTER * other and other < EXPLAINED * (moved**2).sum()):
@@ -160,6 +173,33 @@ def _body(
 
 _SIGNS = [np.diag([a, b]) for a in (1.0, -1.0) for b in (1.0, -1.0)]
 _ARRANGED = [*_SIGNS, *(np.array([[0.0, 1.0], [1.0, 0.0]]) @ s for s in _SIGNS)]
+
+
+_MOUNTED = [
+    *(np.diag(d) for d in ((1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0))),
+    *_ARRANGED[4:],
+]
+
+
+def _mounted(motion: Motion, at: NDArray[np.intp], c: Array, s: Array) -> Iterator[Finding]:
+    """Whether forward and starboard are other axes of the sensor than those that were turned."""
+    body = _turned(motion.velocity, c, -s)
+    moved, _ = motion.moved(at)
+    left = [_left(moved, motion.moved(at, _turned(body @ S.T, c, s))[1])[1] for S in _MOUNTED]
+    # along an axis on which nothing moves either sign will do: the first
+    best = int(np.argmax(np.asarray(left) <= ALIKE * min(left)))
+    if not (left[0] > BETTER * left[best] and left[best] < EXPLAINED * (moved**2).sum()):
+        return
+    signs = "+-"
+    forward, starboard = (
+        f"{signs[int(row.sum() < 0.0)]}{motion.names[2 + int(np.abs(row).argmax())]}" for row in _MOUNTED[best]
+    )  # fmt: skip
+    yield Finding(
+        "axes", " and ".join(motion.names[2:]),
+        f"forward is {forward} and starboard {starboard}: so they explain the displacements "
+        f"{left[0] / left[best]:.3g} times better",
+        "check the sensor's mounting and what its frame is called, or the attitude that turned it",
+    )  # fmt: skip
 
 
 def _arrangement(motion: Motion, at: NDArray[np.intp]) -> Iterator[Finding]:
@@ -178,7 +218,8 @@ def _arrangement(motion: Motion, at: NDArray[np.intp]) -> Iterator[Finding]:
         )
         return
     signs = "" if (S >= 0.0).all() else ", one or both with the other sign,"
-    options = (f"columns.{north}", east, f"columns.{east}", north) if not signs else ()
+    plain = not signs and (north, east) == SPEEDS  # no column of the file if they were turned
+    options = tuple(w for a, b in zip(SPEEDS, SPEEDS[::-1], strict=True) for w in (f"columns.{a}", b)) if plain else ()  # fmt: skip
     yield Finding("axes", f"{north} and {east}", f"exchanged{signs} {better}",
                   f"exchange {north} and {east}", options)  # fmt: skip
 
@@ -209,12 +250,16 @@ def _scale(motion: Motion, at: NDArray[np.intp]) -> Iterator[Finding]:
         f"positions move {factor:.4g} times as far as the velocities say ({low:.4g} to {high:.4g})"
     )
     near = {u: f for u, f in FACTORS.items() if low - margin < f < high + margin}
-    far = {u: 1.0 / f for u, f in LENGTHS.items() if low - margin < 1.0 / f < high + margin}
-    for units, (x, y) in ((near, motion.names[2:]), (far, motion.names[:2])):
+    lengths = {} if motion.geographic else LENGTHS
+    far = {u: 1.0 / f for u, f in lengths.items() if low - margin < 1.0 / f < high + margin}
+    for units, (x, y), (a, b) in (
+        (near, motion.names[2:], SPEEDS),
+        (far, motion.names[:2], PLACES),
+    ):
         if units:
             unit = min(units, key=lambda u: abs(math.log(factor / units[u])))
             yield Finding("units", f"{x} and {y}", f"{said}: as if they were in {unit}",
-                          f"say that they are in {unit}", (f"units.{x}", unit, f"units.{y}", unit))  # fmt: skip
+                          f"say that they are in {unit}", (f"units.{a}", unit, f"units.{b}", unit))  # fmt: skip
             return
     yield Finding("scale", names, said, "calibrate the scale of the velocities")
 
@@ -229,7 +274,8 @@ def _turn(motion: Motion, at: NDArray[np.intp]) -> Iterator[Finding]:
     factor, left = _left(moved, turned)
     power = max(factor, 1e-300) ** 2 * float((told**2).sum())
     deviation = math.sqrt(left / (2 * len(moved)) / power) if power > 0.0 else math.inf
-    if abs(angle) > max(TURNED, SIGMAS * deviation):
+    explained = left < EXPLAINED * float((moved**2).sum())  # a vehicle at rest turns at random
+    if explained and abs(angle) > max(TURNED, SIGMAS * deviation):
         yield Finding(
             "rotation", " and ".join(motion.names[2:]),
             f"positions move {math.degrees(angle):+.3g}° ± {math.degrees(deviation):.2g}° (towards east) from where "

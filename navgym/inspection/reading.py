@@ -23,17 +23,20 @@ _SAID = (
     (r"small enough to be radians|columns of latitude and longitude: read as degrees", "degrees"),
     (r"more than 100 km from the origin", "far"),
     (r"infinite values are lost", "infinite"),
-    (r"was cut off: left out|ends in NUL bytes", "cut"),
+    (r"was cut off|ends in NUL bytes", "cut"),
     (r"no heading in their rows", "unseen"),
     (r"^axes: |fit far better if", "axes"),
     (r"fit better if they were made", "delay"),
     (r"are left out: where that should not be, bring both to one clock", "outside"),
     (r"stands still for most", "standing"),
+    (r"damaged: left out|file is damaged|in no sound ensemble|in no message that is known", "damage"),
+    (r"logger lost data", "gap"),
+    (r"^\S+ holds no (fix|position|velocity|body velocity)", "empty"),
     (r"stop of its range|saturat|at their (largest|least)|times? at exactly|stands? at", "saturation"),
 )  # fmt: skip
 _REFUSED = (
     (r"is not known: pass", "untold"),
-    (r"the time goes back|as where a clock is set", "clock set"),
+    (r"the time goes back|as where a clock is set|a clock was set", "clock set"),
     (r"name a column with finer times|check the unit of the times", "stamps"),
     (r"look like degrees|must be within ±|no row has both latitude", "degrees"),
     (r"turn the axes", "axes"),
@@ -82,16 +85,29 @@ def read(log: Path, reading: ReaderOptions) -> Read:
         return Read(*_tried(log, reading), reading)
     except ValueError as error:
         refused = _refused(str(error))
-    for words in _REPAIRS.get(refused.kind, ()):
-        other = ReaderOptions((*reading.words, *words), reading.format)
-        try:
-            recording, found = _tried(log, other)
-        except ValueError:
-            continue
-        repaired = Finding(refused.kind, refused.channel, refused.said, refused.remedy, words)
-        own = [f for f in found if f.kind not in (refused.kind, "order")]
-        return Read(recording, [repaired, *own], other, True)
+    for words in (*_choice(refused.said), *_REPAIRS.get(refused.kind, ())):
+        found = None if words[0] in reading.words else _repaired(log, reading, refused, words)
+        if found is not None:
+            return found
     return Read(None, [refused], reading)
+
+
+def _choice(error: str) -> list[tuple[str, str]]:
+    """What an error proposes where two channels could be meant, as words for the reader."""
+    return [(f"topics.{role}", name) for role, name in re.findall(r"topics=\{'(\w+)': '([^']+)'\}", error)]  # fmt: skip
+
+
+def _repaired(log: Path, reading: ReaderOptions, refused: Finding, words: tuple[str, ...]) -> Read | None:  # fmt: skip
+    """What became of a log that was refused, read with more words; None if that is refused too."""
+    try:
+        found = read(log, ReaderOptions((*reading.words, *words), reading.format))
+    except ValueError:  # an option that this reader does not have
+        return None
+    if found.recording is None:
+        return None
+    repaired = Finding(refused.kind, refused.channel, refused.said, refused.remedy, words)
+    own = [f for f in found.findings if f.kind not in (refused.kind, "order") or f.options]
+    return Read(found.recording, [repaired, *own], found.reading, True)
 
 
 def _tried(log: Path, reading: ReaderOptions) -> tuple[Any, list[Finding]]:

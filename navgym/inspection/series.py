@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from navgym.core.checks import Array
-from navgym.core.repeats import FINE, is_held, repeats
+from navgym.core.repeats import FINE, is_held, quantum, repeats
 from navgym.core.stops import saturated
 from navgym.inspection.findings import Channel, Finding
 
@@ -28,6 +28,10 @@ LEAST = {
     "rate": 1.0,
     "force": 20.0,
 }  # rad/s, m/s²: what shocks and slams may do from one sample to the next
+MATTERS = {
+    "position": 0.01,
+    "velocity": 1e-3,
+}  # m, m/s: smaller steps are rounding, whatever the others
 CYCLIC = "angle"  # 359 is beside 0
 
 
@@ -68,11 +72,11 @@ def _frozen(channel: Channel, x: Array) -> Iterator[Finding]:
     """A run of equal values that is longer than the channel's other repeats let expect."""
     if channel.mended & {"held"} or len(x) < FEWEST:
         return
-    quantum, same = resolution(x), np.diff(x) == 0.0
-    if np.median(np.abs(np.diff(x))[~same]) < FINE * quantum:
+    digit, same = resolution(x), np.diff(x) == 0.0
+    if np.median(np.abs(np.diff(x))[~same]) < FINE * digit:
         return
     whole = x[:, None]
-    if is_held(whole, repeats(whole), [quantum]) and same.mean() > 0.3:
+    if is_held(whole, repeats(whole), [digit]) and same.mean() > 0.3:
         share = f"{same.mean():.0%} of the values repeat those before them"
         yield Finding(
             "held", channel.name, share, "mark repeats as lost: they are no new measurements"
@@ -147,7 +151,7 @@ def _steps(channel: Channel) -> Iterator[Finding]:
 def _possible(kind: str, size: float) -> bool:
     """Whether a step of that size is worth a word: no shock of an IMU, no turn of an angle in a channel of unknown kind."""
     turned = kind == "other" and any(abs(size / turn - 1.0) < ALIKE for turn in TURNS)
-    return size > LEAST.get(kind, 0.0) and not turned
+    return size > {**LEAST, **MATTERS}.get(kind, 0.0) and not turned
 
 
 def _paired(big: Sequence[int], left: Array) -> tuple[list[int], list[int]]:
@@ -174,11 +178,10 @@ def _resolution(channel: Channel, x: Array) -> Iterator[Finding]:
     """Digits so coarse that they, not the sensor, make the noise."""
     if len(x) < FEWEST or channel.kind == CYCLIC or channel.mended & {"held"}:
         return
-    quantum = resolution(x)
-    bends = np.abs(np.diff(x, 2)) / quantum if quantum > 0.0 else np.full(1, np.inf)
-    if np.quantile(bends, 0.9) < 2.5 and len(np.unique(x)) > 2:
+    digit = quantum(x)
+    if digit > 0.0 and np.quantile(np.abs(np.diff(x, 2)), 0.9) < 2.5 * digit:
         yield Finding(
             "resolution", channel.name,
-            f"values are multiples of {quantum:.4g} {channel.unit}, and hardly change by more than one",
-            f"believe a deviation of at least {quantum / math.sqrt(12.0):.3g}, or log more digits",
+            f"values are multiples of {digit:.4g} {channel.unit}, and hardly change by more than one",
+            f"believe a deviation of at least {digit / math.sqrt(12.0):.3g}, or log more digits",
         )  # fmt: skip

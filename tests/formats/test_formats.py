@@ -15,7 +15,7 @@ from navgym.formats.channels import KINDS
 from navgym.formats.kinds import kind_of, read_channels
 from navgym.statespace.models import LinearModel
 from tests.formats import writers
-from tests.formats.writers import GRAVITY, WRITERS, Voyage
+from tests.formats.writers import GRAVITY, WRITERS, Mount, Voyage
 
 VOYAGE = Voyage()
 # by log: what its digits can hold, m and m/s; the rest is the library's business
@@ -259,8 +259,115 @@ def test_an_sbet_whose_velocities_fit_no_axes_has_none(tmp_path):
 def test_a_doppler_log_in_ship_axes_is_turned_by_its_heading(tmp_path):
     log = navgym.read("log", writers.pd0(tmp_path / "x", axes=2))
     assert np.nanmax(np.abs(log.measurements - VOYAGE.velocity[:, :2])) < 1e-3
-    with pytest.raises(ValueError, match="EX11111"):
-        read_channels(writers.pd0(tmp_path / "x", axes=0))
+
+
+MOUNTS = {
+    "level": Mount(),
+    "tilted": Mount(pitch=4.0, roll=-7.0),
+    "beam 3 to starboard of the bow": Mount(pitch=-3.0, roll=2.0, alignment=45.0),
+    "under ice": Mount(pitch=3.0, roll=5.0, up=True, alignment=-10.0),
+    "beams that converge": Mount(roll=6.0, convex=False, alignment=120.0),
+    "steep": Mount(pitch=2.0, angle=30, told=30),
+    "by the configuration alone": Mount(pitch=2.0, angle=30, told=0),
+    "one beam silent": Mount(pitch=2.0, roll=3.0, silent=(2,)),
+}
+
+
+@pytest.mark.parametrize("axes", [0, 1])
+@pytest.mark.parametrize("name", MOUNTS)
+def test_a_doppler_log_s_own_axes_are_turned_to_the_vessel_s(name, axes, tmp_path):
+    mount = MOUNTS[name]
+    if mount.silent and axes:
+        mount = dataclasses.replace(mount, silent=(3,))  # which is the misfit
+    body = channel(writers.pd0(tmp_path / "x", axes=axes, mount=mount), "body_velocity")
+    heard = np.arange(VOYAGE.count) % 7 != 6
+    assert np.array_equal(~np.isnan(body["u"]), heard)
+    # whole mm along beams: half of one, over the sine of 20 degrees
+    assert np.abs(body.values[heard, :3] - VOYAGE.body[heard]).max() < 3e-3
+
+
+def test_the_pitch_of_a_sensor_within_is_none_of_a_gimbal(tmp_path):
+    path = writers.pd0(tmp_path / "x", axes=1, mount=Mount(pitch=10.0, roll=30.0))
+    content = path.read_bytes()
+    size = len(content) // VOYAGE.count
+    within = bytearray()
+    for k in range(VOYAGE.count):
+        one = bytearray(content[k * size : (k + 1) * size - 2])
+        one[12 + 30] = 1 << 3  # pitch is of the tilt sensor
+        tilt = np.degrees(np.arctan(np.tan(np.radians(10.0)) / np.cos(np.radians(30.0))))
+        one[12 + 59 + 20 : 12 + 59 + 22] = round(100 * tilt).to_bytes(2, "little")
+        within += one + (sum(one) & 0xFFFF).to_bytes(2, "little")
+    path.write_bytes(within)
+    body = channel(path, "body_velocity")
+    assert np.nanmax(np.abs(body.values[:, :3] - VOYAGE.body)) < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [({"angle": 25, "told": 0}, "angle of these"), ({"silent": (0, 1)}, "holds no position")],
+)
+def test_beams_of_which_no_velocity_can_be_made_are_refused(change, said, tmp_path):
+    path = writers.pd0(tmp_path / "x", axes=0, mount=dataclasses.replace(Mount(), **change))
+    with pytest.raises(ValueError, match=said):
+        navgym.read("log", path)
+
+
+def test_a_doppler_log_of_three_beams_is_refused(tmp_path):
+    path = writers.pd0(tmp_path / "x", axes=0)
+    content = bytearray(path.read_bytes())
+    size = len(content) // VOYAGE.count
+    for k in range(0, len(content), size):
+        content[k + 12 + 8] = 3
+        content[k + size - 2 : k + size] = (sum(content[k : k + size - 2]) & 0xFFFF).to_bytes(2, "little")  # fmt: skip
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match="along 3 beams"):
+        navgym.read("log", path)
+
+
+def test_packets_that_a_link_lost_are_counted_by_their_numbers(tmp_path):
+    whole = writers.tlog(tmp_path / "x.tlog")
+    assert not any("link" in each for each in read_channels(whole).said)
+    content, at, kept = whole.read_bytes(), 0, bytearray()
+    for k in range(4 * VOYAGE.count):  # each 12 bytes longer than its payload, after 8 of a stamp
+        end = at + 8 + content[at + 9] + 12
+        kept += b"" if 40 <= k < 52 else content[at:end]
+        at = end
+    whole.write_bytes(kept)
+    (said,) = [each for each in read_channels(whole).said if "link" in each]
+    assert said.startswith("by their numbers 12 of 240 packets (5.0%) were lost")
+
+
+def test_a_dataflash_log_may_be_cut_off_within_a_message(tmp_path):
+    path = writers.dataflash(tmp_path / "x.bin")
+    path.write_bytes(path.read_bytes()[:-10])
+    found = read_channels(path)
+    assert found.doubts == ["the last message was cut off: left out"]
+    assert len(channel(path, "fix")) == VOYAGE.count
+
+
+def test_logs_from_before_microseconds_are_read(tmp_path):
+    path = writers.dataflash(tmp_path / "new.bin")
+    old = tmp_path / "old.bin"
+    content = path.read_bytes()
+    for name in (
+        b"TimeUS,I,Status",
+        b"TimeUS,I,VAcc",
+        b"TimeUS,I,Gyr",
+        b"TimeUS,Roll",
+        b"TimeUS,C,",
+    ):
+        content = content.replace(name, name.replace(b"TimeUS", b"TimeMS"))
+    old.write_bytes(content)
+    new, told = channel(path, "fix"), channel(old, "fix")
+    assert np.array_equal(told.values, new.values, equal_nan=True)
+    assert np.array_equal(told.time, new.time * 1000)  # the same number, in ms
+
+
+def test_a_receiver_s_own_sentences_alone_are_nmea_of_no_use(tmp_path):
+    path = tmp_path / "x.log"
+    path.write_bytes(b"$PFEC,GPatt,12.345,23.456,12.6*45\r\n" * 20)
+    with pytest.raises(ValueError, match="holds nothing of use"):
+        navgym.read(navgym.readers.guess(path), path)
 
 
 # ---- what counts

@@ -20,6 +20,7 @@ class Voyage:
     count: int = 60
     step: float = 1.0
     start: int = START  # ns since 1970
+    speed_noise: float = 0.01  # m/s, that a Doppler log tells of itself
 
     @cached_property
     def seconds(self):
@@ -47,6 +48,22 @@ class Voyage:
         return 100.0 * np.column_stack([np.sin(h) - np.sin(0.7), np.cos(0.7) - np.cos(h), 0.0 * h])
 
     @cached_property
+    def speed(self):
+        """Over ground, m/s."""
+        return np.hypot(*self.velocity[:, :2].T)
+
+    @cached_property
+    def course(self):
+        """Over ground, degrees from 0 to 360."""
+        return np.degrees(np.arctan2(self.velocity[:, 1], self.velocity[:, 0])) % 360
+
+    @cached_property
+    def body(self):
+        """Velocity forward, starboard, down, m/s."""
+        v = (self.velocity[:, 0] + 1j * self.velocity[:, 1]) * np.exp(-1j * self.heading)
+        return np.column_stack([v.real, v.imag, 0.0 * v.real])
+
+    @cached_property
     def places(self):
         """Latitude, longitude, °."""
         return np.array(ORIGIN) + self.position[:, :2] / METRES
@@ -55,6 +72,21 @@ class Voyage:
     def to_enu(self):
         """Quaternions x, y, z, w from forward, left, up to east, north, up."""
         return Rotation.from_euler("z", (np.pi / 2 - self.heading)[:, None]).as_quat()
+
+
+class Sailed(Voyage):
+    """A voyage as columns tell it: time, px, py, vx, vy, heading in degrees, a row per sample."""
+
+    def __init__(self, columns, start=START + 600 * 10**9):
+        super().__init__(len(columns["time"]), 1.0, start, 0.05)
+        zero = np.zeros(self.count)
+        told = {
+            "seconds": columns["time"],
+            "heading": (np.radians(columns["heading"]) + np.pi) % (2 * np.pi) - np.pi,
+            "velocity": np.column_stack([columns["vx"], columns["vy"], zero]),
+            "position": np.column_stack([columns["px"], columns["py"], zero]),
+        }
+        self.__dict__.update(told)  # in place of cached properties
 
 
 # ---- NMEA 0183
@@ -68,7 +100,7 @@ def nmea(path, voyage=Voyage(), course="RMC", heading=True):
         now = dt.datetime.fromtimestamp(stamp / 1e9, dt.UTC)
         (lat, lon), time = voyage.places[k], now.time()
         place = {"lat": lat, "NS": "N", "lon": lon, "EW": "E", "hpnmeamode": 1}
-        moving = {"spd": 2.0 / 1852 * 3600, "cog": np.degrees(voyage.heading[k]) % 360}
+        moving = {"spd": voyage.speed[k] / 1852 * 3600, "cog": voyage.course[k]}
         out.append(NMEAMessage("GN", "GGA", GET, time=time, quality=4, alt=10.0, sep=23.0, **place))
         out.append(NMEAMessage("GN", "GST", GET, time=time, stdLat=0.8, stdLong=0.7, stdAlt=1.5))
         if course == "RMC":
@@ -80,7 +112,7 @@ def nmea(path, voyage=Voyage(), course="RMC", heading=True):
         else:
             out.append(NMEAMessage("GN", "VTG", GET, cogt=moving["cog"], sogn=moving["spd"]))
         if heading:
-            out.append(NMEAMessage("GN", "HDT", GET, headingT=moving["cog"]))
+            out.append(NMEAMessage("GN", "HDT", GET, headingT=np.degrees(voyage.heading[k]) % 360))
     path.write_bytes(b"".join(message.serialize() for message in out))
     return path
 
@@ -143,8 +175,9 @@ def messages(store, voyage, ros1=False, without=()):
                 none,
             ),
         )
+        forward, starboard, down = voyage.body[k].tolist()
         twist = T["geometry_msgs/msg/Twist"](
-            _vector(store, (2.0, 0.0, 0.0)), _vector(store, (0, 0, -0.02))
+            _vector(store, (forward, -starboard, -down)), _vector(store, (0, 0, -0.02))
         )
         cov = np.diag([0.01, 0.04, 0.09, 1, 1, 1.0]).ravel()
         twist = T["geometry_msgs/msg/TwistWithCovariance"](twist, cov)
@@ -169,8 +202,8 @@ def messages(store, voyage, ros1=False, without=()):
             stamp,
             T["dvl_msgs/msg/DVL"](
                 head("dvl"),
-                _vector(store, (2.0, 0.0, 0.0)),
-                np.diag([1e-4] * 3).ravel(),
+                _vector(store, (forward, starboard, down)),
+                np.diag([voyage.speed_noise**2] * 3).ravel(),
                 valid,
                 5.0,
             ),
@@ -201,7 +234,7 @@ def bag(path, voyage=Voyage(), kind="mcap", without=(), more=()):
             storage_plugin=StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3,
         )
     )
-    known = {}
+    known, count, sailed = {}, {}, isinstance(voyage, Sailed)
     with writer:
         for topic, name, stamp, message in [*messages(store, voyage, ros1), *more]:
             if topic in without:
@@ -209,7 +242,9 @@ def bag(path, voyage=Voyage(), kind="mcap", without=(), more=()):
             if topic not in known:
                 known[topic] = writer.add_connection(topic, name, typestore=store)
             raw = (store.serialize_ros1 if ros1 else store.serialize_cdr)(message, name)
-            writer.write(known[topic], stamp + 5_000_000, raw)
+            at = count[topic] = count.get(topic, -1) + 1  # the recorder's own clock is never set
+            received = voyage.start + round(at * voyage.step * 1e9) if sailed else stamp
+            writer.write(known[topic], received + 5_000_000, raw)
     return path
 
 
@@ -315,6 +350,7 @@ def dataflash(path, voyage=Voyage()):
     for k, stamp in enumerate((voyage.stamps - START + 10**9) // 1000):
         (lat, lon), v = voyage.places[k], voyage.velocity[k]
         degrees = float(np.degrees(voyage.heading[k]))
+        speed, course = float(voyage.speed[k]), float(voyage.course[k])
         for name, row in (
             (
                 "GPS",
@@ -326,8 +362,8 @@ def dataflash(path, voyage=Voyage()):
                     round(lat * 1e7),
                     round(lon * 1e7),
                     3300,
-                    2.0,
-                    degrees % 360,
+                    speed,
+                    course,
                     0.0,
                 ),
             ),
@@ -352,7 +388,7 @@ def tlog(path, voyage=Voyage()):
         for k, stamp in enumerate(voyage.stamps // 1000):
             lat, lon = (round(value * 1e7) for value in voyage.places[k])
             v, ms = voyage.velocity[k], int(voyage.seconds[k] * 1000)
-            course = round(np.degrees(voyage.heading[k]) * 100) % 36000
+            course, speed = round(voyage.course[k] * 100) % 36000, round(voyage.speed[k] * 100)
             for message in (
                 mav.MAVLink_gps_raw_int_message(
                     (ms + 1) * 1000,
@@ -362,7 +398,7 @@ def tlog(path, voyage=Voyage()):
                     10000,
                     80,
                     150,
-                    200,
+                    speed,
                     course,
                     9,
                     33000,
@@ -376,6 +412,7 @@ def tlog(path, voyage=Voyage()):
                 mav.MAVLink_local_position_ned_message(ms + 1, *voyage.position[k], *v),
             ):
                 file.write(struct.pack(">Q", int(stamp)) + message.pack(link))
+                link.seq = (link.seq + 1) % 256
     return path
 
 
@@ -407,36 +444,70 @@ def sbet(path, voyage=Voyage(), hand=(-1.0, -1.0, -1.0), wander=0.3):
     return path
 
 
-def pd0(path, voyage=Voyage(), axes=3):
+@dataclass(frozen=True)
+class Mount:
+    """How a Doppler log sits in its vessel: degrees."""
+
+    pitch: float = 0.0  # y, towards beam 3, up
+    roll: float = 0.0  # x, towards beam 2 of one that looks down, down
+    alignment: float = 0.0  # of beam 3 clockwise from the bow
+    up: bool = False
+    convex: bool = True
+    angle: int = 20
+    told: int = 20  # angle in the leader's last byte, 0 for none
+    silent: tuple = ()  # beams that hear nothing
+
+    @property
+    def axes(self):
+        """x, y, z of the instrument as columns: starboard, forward, up of the vessel."""
+        turns = [("z", -self.alignment), ("x", self.pitch), ("y", self.roll + 180.0 * self.up)]
+        whole = Rotation.identity()
+        for axis, degrees in turns:
+            whole = whole * Rotation.from_euler(axis, degrees, degrees=True)
+        return whole.as_matrix()
+
+    @property
+    def beams(self):
+        """Unit vectors along the beams, away from the instrument, as rows: in its own axes."""
+        s, c = np.sin(np.radians(self.angle)), np.cos(np.radians(self.angle))
+        s = s if self.convex else -s
+        return np.array([[-s, 0, -c], [s, 0, -c], [0, s, -c], [0, -s, -c]])
+
+
+def pd0(path, voyage=Voyage(), axes=3, mount=Mount()):
     import struct
 
     out = []
     for k, stamp in enumerate(voyage.stamps.tolist()):
         now = dt.datetime.fromtimestamp(stamp / 1e9, dt.UTC)
         fixed = bytearray(59)
+        fixed[4] = mount.convex << 3 | mount.up << 7
+        fixed[5] = {15: 0, 20: 1, 30: 2}.get(mount.angle, 3)
+        fixed[8] = 4
         fixed[25] = axes << 3 | 7
+        fixed[26:28] = struct.pack("<h", round(100 * mount.alignment))
+        fixed[58] = mount.told
         variable = bytearray(65)
         variable[:2] = struct.pack("<H", 0x80)
-        variable[4:11] = bytes(
-            [
-                now.year - 2000,
-                now.month,
-                now.day,
-                now.hour,
-                now.minute,
-                now.second,
-                stamp // 10**7 % 100,
-            ]
-        )
+        clock = [now.month, now.day, now.hour, now.minute, now.second, stamp // 10**7 % 100]
+        variable[4:11] = bytes([now.year - 2000, *clock])
         variable[18:20] = struct.pack("<H", round(np.degrees(voyage.heading[k]) * 100) % 36000)
+        variable[20:24] = struct.pack("<2h", round(100 * mount.pitch), round(100 * mount.roll))
         variable[57:65] = bytes([20, *variable[4:11]])
         n, e, _ = voyage.velocity[k]
         bottom = bytearray(81)
         bottom[:2] = struct.pack("<H", 0x600)
-        two = {3: (e, n), 2: (0.0, 2.0), 1: (0.0, 0.0), 0: (0.0, 0.0)}[axes]
-        four = [round(-1000 * value) for value in two] + [0, 3]
+        forward, starboard, down = voyage.body[k]
+        instrument = mount.axes.T @ [starboard, forward, -down]
+        # the vessel moves along a beam as fast as the bottom comes along it
+        told = {
+            3: (-e, -n, 0.0, 0.003), 2: (-starboard, -forward, down, 0.003),
+            1: (*-instrument, 0.003), 0: mount.beams @ instrument,
+        }[axes]  # fmt: skip
+        four = [round(1000 * value) for value in told]
         if k % 7 == 6:
             four = [-32768] * 4
+        four = [-32768 if j in mount.silent else value for j, value in enumerate(four)]
         bottom[24:32] = struct.pack("<4h", *four)
         blocks = [bytes(fixed), bytes(variable), bytes(bottom)]
         offsets = [12 + sum(map(len, blocks[:j])) for j in range(3)]

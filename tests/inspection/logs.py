@@ -45,6 +45,7 @@ def written(path, columns):
 # ---- defects: each takes a folder and returns the log
 
 DEFECTS = {}
+CHANGES = {}  # what makes the columns of a sound log those of one with a defect
 
 
 def defect(kind, channel=""):
@@ -71,6 +72,7 @@ def _changed(name, change):
 
 def _simple(kind, name, channel=""):
     def add(change):
+        CHANGES[name] = change
         return defect(kind, channel)(_changed(name, change))
 
     return add

@@ -176,6 +176,39 @@ def test_losses_in_bursts_are_told_from_independent_ones():
     assert alone.mean == pytest.approx(1.0 / 0.7, rel=0.1)
 
 
+@pytest.mark.parametrize("more", [0.0, 0.2])
+def test_losses_that_keep_a_pace_are_neither(more):
+    rng, row = np.random.default_rng(1), np.arange(2000)
+    slow = losses("position", (row % 5 != 0) | (rng.random(2000) < more))
+    assert (slow.every, slow.bursts) == (5.0, False)
+    assert "regularly: one in 5 rows is received" in slow.words
+    silenced = losses("velocity", row % 7 == 0)
+    assert (silenced.every, silenced.bursts) == (-7.0, False)
+    assert "one in 7 rows is lost" in silenced.words
+
+
+def test_a_pace_need_be_no_whole_number_of_rows():
+    heard = np.isin(np.arange(2000), np.arange(0.0, 2000.0, 3.4).astype(int))
+    assert losses("position", ~heard).every == pytest.approx(3.4, rel=0.01)
+
+
+@pytest.mark.parametrize("share", [0.02, 0.2, 0.5, 0.9])
+def test_independent_losses_and_bursts_keep_no_pace(share):
+    rng = np.random.default_rng(2)
+    for rows in (40, 100, 1000):
+        for _ in range(100):
+            assert losses("position", rng.random(rows) < share).every == 0.0
+            lengths = rng.geometric([share, 1.0 - share], (rows, 2)).ravel()
+            burst = np.repeat(np.arange(len(lengths)) % 2 == 0, 3 * lengths)[:rows]
+            assert losses("position", burst).every == 0.0
+
+
+def test_the_sample_log_s_held_fixes_are_regular_losses():
+    found = inspect(navgym.sample_log())
+    (position,) = [each for each in found.losses if each.sensor == "position"]
+    assert position.every == 5.0
+
+
 def test_json_holds_all_of_it(tmp_path, capsys):
     log = _defect("three fixes are far off", tmp_path)
     assert command.main(["inspect", str(log), "--json", "-"]) == 1

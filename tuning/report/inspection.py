@@ -41,7 +41,7 @@ def page(found: Inspection) -> Page:
     ]  # fmt: skip
     kept = [s for s in sections if s.text or s.items]
     lede = [f"{found.problem or 'A log'}, format {found.format}.", f"Next: `{found.next}`"]
-    basis = report.provenance(f"navgym inspect {found.log}")
+    basis = report.provenance(found.command or f"navgym inspect {found.log}")
     return Page(f"Inspection of {Path(found.log).name}", lede, kept, tiles, basis)
 
 
@@ -81,13 +81,12 @@ def _channels(channels: Sequence[Channel]) -> Table:
 
 
 def _losses(found: Inspection) -> Table:
-    head = ("sensor", "lost", "runs", "mean run", "longest", "lost after a loss")
+    head = ("sensor", "lost", "how", "runs", "mean run", "longest")
     rows = [
-        (each.sensor, f"{each.share:.1%}", str(each.runs), f"{each.mean:.3g}", str(each.longest), f"{each.after_loss:.1%}")
+        (each.sensor, f"{each.share:.1%}", each.manner, str(each.runs), f"{each.mean:.3g}", str(each.longest))
         for each in found.losses
     ]  # fmt: skip
-    said = "Runs and lengths are in rows. Where more is lost after a loss than on the whole, losses come in bursts."
-    return Table(head, rows, said)
+    return Table(head, rows, "Runs and lengths are in rows.", (), (0, 2))
 
 
 def _noise(found: Inspection) -> Iterator[Any]:

@@ -75,8 +75,18 @@ def drawing(caption: str, height: float, **grid: Any) -> Iterator[tuple[Any, lis
         canvas.set_size_inches(NARROW + COLUMN * (grid.get("ncols", 1) - 1), height)
         for axes in canvas.axes:
             _stack_legend(axes)
+        for legend in canvas.legends[:]:
+            legend.remove()
+            above_all(canvas, legend.legend_handles, [t.get_text() for t in legend.get_texts()], 3)
         mpl.rcParams["svg.hashsalt"] = "navgym, narrow"  # both stand on one page
         made.append(Figure(wide, caption, _svg(canvas)))
+
+
+def above_all(canvas: Any, handles: Sequence[Any], labels: Sequence[str], columns: int = 6) -> None:
+    """One legend above all panels, which have titles where each could have its own."""
+    canvas.legend(
+        handles=handles, labels=labels, loc="outside upper left", ncols=columns, fontsize=9
+    )
 
 
 def _stack_legend(axes: Axes) -> None:
@@ -345,7 +355,7 @@ def after_switch(
         plain_log(panels[0][0])
         for axes in panels[:, 0]:
             axes.set_ylabel(axis)
-        panels[0][0].legend(loc="upper right", fontsize=9)
+        above_all(panels[0][0].figure, *panels[0][0].get_legend_handles_labels())
     return made[0]
 
 
@@ -503,5 +513,5 @@ def by_loss(
         axes.set_ylabel("position RMSE, m")
         axes.grid(axis="y")
         axes.set_axisbelow(True)
-        axes.legend(loc="upper left", fontsize=9, ncols=2)
+        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=9)
     return made[0]

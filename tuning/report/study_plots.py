@@ -184,7 +184,7 @@ def front(outcome: Outcome, chosen: Trial, axis: str, caption: str) -> Figure:
         axes.set_xlabel("µs per filter step")
         axes.set_ylabel(axis)
         axes.grid()
-        axes.legend(loc="upper right", fontsize=9)
+        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=9, ncols=3)
     return made[0]
 
 
@@ -226,7 +226,7 @@ def over_time(
             axes.set_ylim(bottom=0.0)
         axes.grid(axis="y")
         if axes.has_data():
-            axes.legend(loc="upper right", fontsize=9, ncols=2)
+            axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=9, ncols=4)
     return made[0]
 
 
