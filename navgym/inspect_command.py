@@ -11,8 +11,9 @@ from navgym.core.atomic import replacing
 from navgym.core.notes import Progress
 from navgym.inspection.findings import Inspection
 from navgym.inspection.inspect import of
+from navgym.log_command import log_parser, parse
 from navgym.problem import load
-from navgym.readers import ReaderOptions, formats, words_after
+from navgym.readers import ReaderOptions
 
 ABOUT = """Look a log over: what it holds, what is wrong with it, what noise it suggests, and what to run next.
 
@@ -29,31 +30,18 @@ PAGE = "navgym.tuning.report.inspection:write"  # needs matplotlib and jinja2
 NAMED = 10  # columns of the line's name
 
 
-def parse(words: Sequence[str]) -> argparse.Namespace:
-    """The command line. By argparse: the core of navgym does not install tyro."""
-    parser = argparse.ArgumentParser(
-        prog="navgym inspect", description=ABOUT,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+def command_line(words: Sequence[str]) -> argparse.Namespace:
+    """The command line."""
+    parser = log_parser("navgym inspect", ABOUT)
     add = parser.add_argument
-    add("log", type=Path, help="the file, or the folder of a public data set")
-    add(
-        "--read",
-        nargs="+",
-        metavar="WORD",
-        default=argparse.SUPPRESS,
-        help="what the reader is told",
-    )
-    add("--format", help=f"one of {', '.join(formats())}; by default what the log looks like")
     add("--json", metavar="FILE", help="write all of it as JSON, to FILE or, for -, to the output")
     add("--page", type=Path, metavar="FILE", help="write a page with plots, NAME.html")
-    told, rest = words_after("--read", words)
-    return parser.parse_args(rest, argparse.Namespace(read=told))
+    return parse(parser, words)
 
 
 def main(words: Sequence[str]) -> int:
     """Look and tell; returns the exit status."""
-    asked = parse(words)
+    asked = command_line(words)
     with Progress(f"inspecting {asked.log.name}"):
         found = of(asked.log, ReaderOptions.parsed(asked.read, asked.format))
     if asked.json == "-":

@@ -14,9 +14,10 @@ import numpy as np
 from navgym.core.atomic import replacing
 from navgym.core.tables import read_table
 from navgym.core.typed import options_of
+from navgym.log_command import log_parser, parse
 from navgym.mapping import written
 from navgym.problem import Problem
-from navgym.readers import ReaderOptions, formats, reader_of, words_after
+from navgym.readers import ReaderOptions, reader_of
 
 ABOUT = """Read a log and say what was found in it: rows, steps, gaps, losses, what the reader changed.
 
@@ -36,31 +37,18 @@ CHOSEN = {"position": ("lat", "px"), "velocity": ("vx",)}
 NAMED = 9  # columns of the line's name
 
 
-def parse(words: Sequence[str]) -> argparse.Namespace:
-    """The command line. By argparse: the core of navgym does not install tyro."""
-    parser = argparse.ArgumentParser(
-        prog="navgym read", description=ABOUT,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+def command_line(words: Sequence[str]) -> argparse.Namespace:
+    """The command line."""
+    parser = log_parser("navgym read", ABOUT)
     add = parser.add_argument
-    add("log", type=Path, help="the file, or the folder of a public data set")
-    add(
-        "--read",
-        nargs="+",
-        metavar="WORD",
-        default=argparse.SUPPRESS,
-        help="what the reader is told",
-    )
-    add("--format", help=f"one of {', '.join(formats())}; by default what the log looks like")
     add("--out", type=Path, help="save the recording there, as NAME.npz, with the model")
     add("--write-mapping", type=Path, metavar="FILE", help="write a mapping file to go on from")
-    told, rest = words_after("--read", words)
-    return parser.parse_args(rest, argparse.Namespace(read=told))
+    return parse(parser, words)
 
 
 def main(words: Sequence[str]) -> int:
     """Read and tell; returns the exit status."""
-    asked = parse(words)
+    asked = command_line(words)
     reading = ReaderOptions.parsed(asked.read, asked.format)
     try:
         recording, warned = _read(reading, asked.log)

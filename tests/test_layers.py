@@ -18,7 +18,7 @@ ABOVE = {"agents", "tuning"}
 # everything that knows no problem: rooms, and the files in navgym/ itself
 GENERAL = {
     "core", "envs", "formats", "identification", "inertial", "inspection", "metrics", "statespace",
-    "", "command", "estimation", "exports", "inspect_command", "mapping", "plotting", "plugins", "problem", "read_command", "readers", "samples", "simulation", "tuned", "warm",
+    "", "command", "estimation", "exports", "inspect_command", "log_command", "mapping", "plotting", "plugins", "problem", "read_command", "readers", "samples", "simulation", "tuned", "warm",
 }  # fmt: skip
 EXCEPTIONS = {
     # a command per subject, and how fast agents are is measured by the agents
