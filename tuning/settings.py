@@ -258,7 +258,9 @@ class StudySettings:
         if p.name in self.range:
             return narrowed(p, *self.range[p.name])
         if self.log and p.widest is not None:
-            return narrowed(p, min(p.low, LOG_RANGE[0]), max(p.high, LOG_RANGE[1]))
+            least, most = p.admissible
+            low, high = min(p.low, LOG_RANGE[0]), max(p.high, LOG_RANGE[1])
+            return narrowed(p, max(low, least), min(high, most))
         return p
 
     def _whole(self, space: ParameterSpace | None) -> ParameterSpace:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -41,9 +42,8 @@ def traces(
         panels[-1, 0].set_xlim(result.time[0], result.time[-1])
         handles, shown = panels[0, 0].get_legend_handles_labels()
         regimes = result.labels[0].meta["regimes"] if result.labels else ()
-        handles += [
-            Patch(color=tint, alpha=0.22) for _, tint in zip(regimes, plots.TINTS, strict=False)
-        ]
+        tints = itertools.islice(itertools.cycle(plots.TINTS), len(regimes))
+        handles += [Patch(color=tint, alpha=0.22) for tint in tints]
         shown += [f"true regime: {name}" for name in regimes]
         panels[0, 0].legend(
             handles, shown, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=9

@@ -83,7 +83,6 @@ class LiveMixture(LinearIntake):
         self._kind = np.asarray(~fixes if fixes.any() else fixes, dtype=np.int64)
         n, m, K, F = own.n, own.m, len(mixture.experts), len(kernels.FEATURES)
         self._sample = np.zeros(1, np.dtype([("y", "f8", m), ("lost", "?", m), ("time", "f8")]))
-        self._y, self._lost = self._sample["y"][0], self._sample["lost"][0]
         self._model = np.zeros(1, self._packed.dtype)
         self._states, self._covariances = np.zeros((1, 1, K, n)), np.zeros((K, 1, 1, n, n))
         self._innovations, self._nis = np.zeros((1, 1, K, m)), np.zeros((1, 1, K))
@@ -185,7 +184,6 @@ class LiveExpert(LinearIntake):
         self._lanes = np.zeros(1, self._family.lane_type(n, m))
         self._model = np.zeros(1, self._packed.dtype)
         self._sample = np.zeros(1, np.dtype([("y", "f8", m), ("lost", "?", m), ("time", "f8")]))
-        self._y, self._lost = self._sample["y"][0], self._sample["lost"][0]
         self._found = (
             np.zeros((1, 1, n)), np.zeros((1, 1, n, n)), np.zeros((1, 1, m)), np.zeros((1, 1)),
             np.zeros((1, 1)),

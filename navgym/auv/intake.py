@@ -53,6 +53,8 @@ class LinearIntake:
 
     def _begin_samples(self) -> None:
         """Go back to one step before the first sample."""
+        self._y, self._lost = self._sample["y"][0], self._sample["lost"][0]
+        self._clock = self._sample["time"]
         self.time: float | Decimal | None = None
         self._elapsed: float | None = None  # the kernels' time of the last sample
         self._origin: float | Decimal = 0.0  # and where that begins

@@ -84,8 +84,6 @@ class LiveAUV(LinearIntake, LiveLane):
             self.table, self.tally,
         )  # fmt: skip
         self._views = [tuple(self.lanes[n][i : i + 1] for n in ("x", "P", "nis")) for i in (0, 1)]
-        self._y, self._lost = self._sample["y"][0], self._sample["lost"][0]
-        self._clock = self._sample["time"]
         self.reset()
 
     def reset(self) -> None:

@@ -76,8 +76,6 @@ class LiveBank(LinearIntake):
         self._model = np.zeros(1, self._packed.dtype)
         self._noise = np.zeros((1, 1, n, n))
         self._sample = np.zeros(1, np.dtype([("y", "f8", m), ("lost", "?", m), ("time", "f8")]))
-        self._y, self._lost = self._sample["y"][0], self._sample["lost"][0]
-        self._clock = self._sample["time"]
         self._told = (
             np.zeros((1, 1, n)), np.zeros((1, 1, n, n)), np.zeros((1, 1, m)), np.zeros((1, 1)),
             np.zeros((1, 1)), np.zeros((1, 1, self.modes.count)),

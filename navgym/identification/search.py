@@ -80,7 +80,8 @@ class _Herd:
     """Places (P, D) that only ever get better, and the best of all so far."""
 
     def __init__(self, cost: Cost, place: Array) -> None:
-        self.cost, self.place, self.costs, self.least = cost, place, cost(place), np.inf
+        self.cost, self.place, self.costs = cost, place, cost(place)
+        self.best, self.least = place[0].copy(), np.inf
         self._keep_best()
 
     def move(self, trial: Array) -> None:

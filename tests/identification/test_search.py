@@ -48,3 +48,13 @@ def test_a_search_asks_for_no_place_outside_its_box(name):
     )
     assert len(asked) == 21  # the first places and twenty generations
     assert ((np.concatenate(asked) >= LOW) & (np.concatenate(asked) <= HIGH)).all()
+
+
+def test_where_no_cost_is_a_number_the_first_place_is_the_answer():
+    low, high = np.zeros(2), np.ones(2)
+    for find in (search.whale, search.swarm):
+        place, least = find(
+            lambda p: np.full(len(p), np.nan), low, high, seed=1, population=4, epochs=3
+        )
+        assert least == np.inf
+        assert ((place >= low) & (place <= high)).all()

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+import navgym
+from navgym.problem import PROBLEMS
 from navgym.tuning import declared
 from navgym.tuning.commands import parse as command
 from navgym.tuning.settings import StudySettings
@@ -79,6 +81,21 @@ def test_noise_scales_may_go_beyond_their_usual_range_with_a_word(tmp_path):
             1e-4,
             1e4,
         )  # a log's model is the reader's default as often as not
+
+
+@pytest.mark.parametrize("name", ["auv", "deck", "ins"])
+def test_every_filter_can_be_tuned_on_a_log_within_what_is_admissible(name, tmp_path):
+    problem = PROBLEMS[name]
+    scenario = problem.full_name(next(iter(problem.scenarios.values())))
+    log = navgym.simulate(scenario, **problem.brief).save(tmp_path / "log.npz")
+    tried = 0
+    for own, chosen in problem.filters.items():
+        if len(chosen.space) and own != problem.bound:
+            for p in StudySettings(filter=own, log=(log,)).parameters(chosen.space):
+                least, most = p.admissible
+                assert least <= p.low < p.high <= most
+                tried += 1
+    assert tried > 3
 
 
 def test_a_file_holds_what_flags_say_and_flags_override_it(tmp_path):

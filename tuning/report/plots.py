@@ -33,7 +33,8 @@ INK = "#010203"  # stands for the page's text colour
 FAINT = "#8b93a0"
 BEST, OWN, PLAIN, BAD = "#2a9268", "#d9822b", "#4a83c4", "#c9483c"
 MORE = ("#8d6bb8", "#2f9aa8", "#b0892e", "#c05f93")
-TINTS = ("#8b93a0", "#d9822b", "#4a83c4", "#8d6bb8", "#2a9268")  # of regimes
+# of regimes, over again where there are more
+TINTS = ("#8b93a0", "#d9822b", "#4a83c4", "#8d6bb8", "#2a9268", "#b0506b", "#7f8c2d", "#2f9fb0")
 WIDTH = 10.0  # inches; the page scales it
 # inches of the same drawing on a telephone, per column of panels beside the first
 NARROW, COLUMN = 4.8, 1.3
@@ -83,10 +84,11 @@ def drawing(caption: str, height: float, **grid: Any) -> Iterator[tuple[Any, lis
 
 
 def above_all(canvas: Any, handles: Sequence[Any], labels: Sequence[str], columns: int = 6) -> None:
-    """One legend above all panels, which have titles where each could have its own."""
-    canvas.legend(
-        handles=handles, labels=labels, loc="outside upper left", ncols=columns, fontsize=9
-    )
+    """One legend above all panels, which have titles where each could have its own; none for nothing."""
+    if handles:
+        canvas.legend(
+            handles=handles, labels=labels, loc="outside upper left", ncols=columns, fontsize=9
+        )
 
 
 def _stack_legend(axes: Axes) -> None:
@@ -263,7 +265,7 @@ def example(
         above.set_ylabel("position error, m\n(RMS of the last 20 s)")
         above.grid(axis="y")
         names = recording.meta["regimes"]
-        tints = dict(zip(names, TINTS, strict=False))
+        tints = dict(zip(names, itertools.cycle(TINTS), strict=False))
         for axes in (above, below):
             shade(axes, recording.time, recording.regime, [tints[name] for name in names])
         handles, labels = above.get_legend_handles_labels()
@@ -287,7 +289,7 @@ def shade(axes: Axes, time: Array, regime: NDArray[np.int64], tints: Sequence[st
     """Tint the spans of each true regime."""
     for start, stop, label in _spans(regime):
         end = time[min(stop, len(time) - 1)]
-        axes.axvspan(time[start], end, color=tints[label], alpha=0.16, lw=0)
+        axes.axvspan(time[start], end, color=tints[label % len(tints)], alpha=0.16, lw=0)
 
 
 def _spans(labels: NDArray[np.int64]) -> Iterator[tuple[int, int, int]]:

@@ -255,7 +255,7 @@ class _Lines(JournalFileBackend):
 
     def settle(self) -> None:
         """Wait until the disk has all that was written; OSError where it cannot."""
-        with self._named_errors(), Path(self._file_path).open("ab") as file:
+        with self._named_errors(), Path(self._file_path).open("r+b") as file:
             os.fsync(file.fileno())
 
     @contextlib.contextmanager
