@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import LinAlgError, solve_discrete_are, solve_discrete_lyapunov
 
 from navgym.core.checks import Array, real_array
 from navgym.metrics.errors import share
@@ -35,6 +34,8 @@ def steady_state(model: LinearModel) -> SteadyState:
     Raises ValueError if the model varies in time, or if its covariance does not settle because a
     state that does not decay is not measured.
     """
+    from scipy.linalg import LinAlgError, solve_discrete_are  # heavy, and seldom wanted
+
     F, H, Q, R = _constant(model)
     remedy = "measure every state that does not decay on its own (positions, not only velocities)"
     try:
@@ -92,6 +93,8 @@ def loss_bounds(model: LinearModel, arrival_rate: float) -> LossBounds:
     Source: B. Sinopoli et al., Kalman filtering with intermittent observations, IEEE Trans.
     Automatic Control 49 (2004), theorems 3 and 4.
     """
+    from scipy.linalg import solve_discrete_lyapunov
+
     F, _, Q, _ = _constant(model)
     rate = share("arrival_rate", arrival_rate)
     slack = np.sqrt(1.0 - rate) * F

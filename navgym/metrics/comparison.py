@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import stats
 
 from navgym.core.checks import Array, positive_int, real_array
 from navgym.metrics.errors import per_run, runs_of, share
@@ -107,6 +106,8 @@ def _interval(
     rng: np.random.Generator,
 ) -> tuple[float, float, float]:
     """A statistic of paired data with its BCa interval: (value, low, high)."""
+    from scipy import stats  # heavy, and no worker of a study wants it
+
     value = float(statistic(*data, axis=-1))
     if not np.isfinite(value):
         return np.nan, np.nan, np.nan
@@ -126,6 +127,8 @@ def _interval(
 
 
 def _sign_flip(difference: Array, resamples: int, rng: np.random.Generator) -> float:
+    from scipy import stats
+
     found = stats.permutation_test(
         (difference,), lambda d, axis: d.mean(axis=axis), permutation_type="samples",
         n_resamples=resamples, batch=1000, rng=rng,

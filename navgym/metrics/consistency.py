@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
 
 from navgym.core.checks import Array, real_array
 from navgym.metrics.errors import share
@@ -70,6 +69,8 @@ def nis_band(dof: ArrayLike, confidence: float = 0.95) -> tuple[Array, Array]:
 
     Returns the lower and the upper bounds, of the shape of `dof`.
     """
+    from scipy import stats  # heavy, and no worker of a study wants it
+
     k = real_array("dof", dof)
     tail = (1.0 - share("confidence", confidence)) / 2.0
     if (k < 0.0).any():

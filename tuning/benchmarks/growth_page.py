@@ -24,8 +24,9 @@ def page(found: Sequence[tuple[Growth, Found]], command: str, machine: str, fold
         "# How fast: as work grows",
         "",
         f"Written by `{command}`. Every line of a table was measured in a process of its own: time is "
-        "the median of its turns, on one core where nothing else is said; memory is the most that the "
-        "process ever held, with what it worked on, its imports and its compiled kernels.",
+        "the median of its turns after a first one (of that alone where it is long), on one core where "
+        "nothing else is said; memory is the most that the process ever held, with what it worked on, "
+        "its imports and its compiled kernels.",
         "",
         f"{machine} before it began.",
         "",
@@ -128,7 +129,6 @@ def picture(growth: Growth, found: Found) -> str:
         for axes in (left, right):
             axes.set_xlabel(growth.size)
             axes.grid()
-        left.legend(loc="best", fontsize=9)
     svg = made[0].svg.replace("currentColor", TEXT)
     head = svg.index(">") + 1
     return f'{svg[:head]}\n<rect width="100%" height="100%" fill="{PAPER}"/>{svg[head:]}'
@@ -144,8 +144,8 @@ def _curves(axes: Axes, found: Found, value: Callable[[Point], float]) -> None:
     axes.set_xscale("log")
     axes.set_xticks(sizes, [_short(size) for size in sizes])
     axes.xaxis.set_minor_locator(NullLocator())
-    low, high = axes.get_ylim()
-    axes.set_ylim(low / SPAN, high * SPAN)
+    shown = [value(p) for _, points in found for p in points if not p.trouble] or [1.0]
+    axes.set_ylim(min(shown) / SPAN, max(shown) * SPAN)
     plain_log(axes)
 
 
