@@ -38,8 +38,9 @@ def page(found: Sequence[tuple[Growth, Found]], command: str, machine: str, fold
 
 def _section(growth: Growth, found: Found, folder: str) -> list[str]:
     picture = f"![Time and memory by {growth.size}]({folder}/{file_name(growth)})"
-    said = [growth.why, *(s for series, points in found if (s := steepest(growth, series, points)))]
-    return [f"## {growth.title}", "", picture, "", " ".join(said), "", *_table(growth, found)]
+    steep = " ".join(s for series, points in found if (s := steepest(growth, series, points)))
+    said = [part for text in (growth.why, steep) if text for part in (text, "")]
+    return [f"## {growth.title}", "", picture, "", *said, *_table(growth, found)]
 
 
 def file_name(growth: Growth) -> str:
@@ -96,12 +97,12 @@ def in_words(seconds: float) -> str:
 
 
 def steepest(growth: Growth, series: Series, points: Sequence[Point]) -> str:
-    """Between which sizes time grew most beyond proportion, as a sentence; "" for fewer than two.
+    """Between which sizes time grew most beyond proportion, as a sentence; "" where no work grows.
 
-    Not of workers, which are not work.
+    More workers, for example, are not more work.
     """
-    pairs = [(a, b) for a, b in itertools.pairwise(points) if not (a.trouble or b.trouble)]
-    if not pairs or growth.name == "workers":
+    pairs = [(a, b) for a, b in itertools.pairwise(points) if b.units > a.units > 0]
+    if not pairs:
         return ""
     a, b = max(pairs, key=lambda p: (p[1].seconds / p[0].seconds) / (p[1].size / p[0].size))
     return (

@@ -197,6 +197,36 @@ def _scheduler(count: int, dask: bool) -> Iterator[str | None]:
         yield cluster.scheduler_address
 
 
+WHY_LANES = (
+    "A step of the environment is one call for all lanes: what it costs Python is paid once, so that a "
+    "single lane is dear, while among a hundred the filter is what takes the time. Lanes share the recordings of a pool "
+    "and then take next to no memory. Without a pool each lane simulates a recording when it restarts, "
+    "one lane after the other, runs the filters that it is compared with over it, and keeps it."
+)
+WHY_RECORDINGS = (
+    "Filters take one recording after the other, so a sample costs the same among many as among few; "
+    "what a call costs besides is seen where there is one. A sample stands in memory in its recording "
+    "and in the batch, and its state beside it: covariances and innovations are not asked for here. "
+    "Stacking copies and computes nothing, so it is as quick as memory."
+)
+WHY_ROWS = (
+    "`navgym.estimate` keeps state, covariance, innovation, NIS and likelihood of every row, 208 bytes; "
+    "about as many again are the row in the recording and in the batch. With the last sizes memory "
+    "itself counts: what the system has not given to anybody for long takes a first call up to twice "
+    "as long, which is not in the table. A CSV file is looked through for its layout before it is read, "
+    "which is what a short one pays for. Its memory is the text, where each cell begins and ends, and "
+    "the numbers: some five times the file."
+)
+WHY_WORKERS = (
+    "A worker imports, loads kernels and makes the recordings before its first trial: some 1.5 s of "
+    "processor time. Asking for trials and telling them is one process's work, and a batch ends with "
+    "its slowest trial. So workers pay up to the number of cores that are free, and where a study is "
+    "much longer than their start; more of them than cores only cost. Memory is the sum over all "
+    "processes, libraries that they share counted in each. Dask workers are such processes with a "
+    "guard each, and a scheduler between them and the study."
+)
+
+
 def growths(quick: bool = False) -> tuple[Growth, ...]:
     """Everything that is measured; `quick`: the least of each kind."""
     tens = tuple(10**k for k in range(5))
@@ -240,9 +270,6 @@ def _least(growth: Growth) -> Growth:
     """The first size of its first series."""
     first = growth.series[0]
     return replace(growth, series=(replace(first, sizes=first.sizes[:1]),))
-
-
-WHY_LANES = WHY_RECORDINGS = WHY_ROWS = WHY_WORKERS = ""
 
 
 # ---- a point, in a process of its own
