@@ -34,13 +34,13 @@ def steady_state(model: LinearModel) -> SteadyState:
     Raises ValueError if the model varies in time, or if its covariance does not settle because a
     state that does not decay is not measured.
     """
-    from scipy.linalg import LinAlgError, solve_discrete_are  # heavy, and seldom wanted
+    from scipy.linalg import solve_discrete_are  # heavy, and no environment needs it
 
     F, H, Q, R = _constant(model)
     remedy = "measure every state that does not decay on its own (positions, not only velocities)"
     try:
         predicted = np.asarray(solve_discrete_are(F.T, H.T, Q, R), dtype=np.float64)
-    except LinAlgError as error:
+    except np.linalg.LinAlgError as error:
         raise ValueError(f"the model's covariance does not settle ({error}): {remedy}.") from None
     gain = np.asarray(np.linalg.solve(H @ predicted @ H.T + R, H @ predicted).T, dtype=np.float64)
     closed = np.eye(model.n) - gain @ H
@@ -93,7 +93,7 @@ def loss_bounds(model: LinearModel, arrival_rate: float) -> LossBounds:
     Source: B. Sinopoli et al., Kalman filtering with intermittent observations, IEEE Trans.
     Automatic Control 49 (2004), theorems 3 and 4.
     """
-    from scipy.linalg import solve_discrete_lyapunov
+    from scipy.linalg import solve_discrete_lyapunov  # heavy, and no environment needs it
 
     F, _, Q, _ = _constant(model)
     rate = share("arrival_rate", arrival_rate)

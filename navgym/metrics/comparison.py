@@ -106,7 +106,7 @@ def _interval(
     rng: np.random.Generator,
 ) -> tuple[float, float, float]:
     """A statistic of paired data with its BCa interval: (value, low, high)."""
-    from scipy import stats  # heavy, and no worker of a study wants it
+    from scipy import stats  # heavy, and no environment needs it
 
     value = float(statistic(*data, axis=-1))
     if not np.isfinite(value):
@@ -127,7 +127,7 @@ def _interval(
 
 
 def _sign_flip(difference: Array, resamples: int, rng: np.random.Generator) -> float:
-    from scipy import stats
+    from scipy import stats  # heavy, and no environment needs it
 
     found = stats.permutation_test(
         (difference,), lambda d, axis: d.mean(axis=axis), permutation_type="samples",

@@ -69,7 +69,7 @@ def nis_band(dof: ArrayLike, confidence: float = 0.95) -> tuple[Array, Array]:
 
     Returns the lower and the upper bounds, of the shape of `dof`.
     """
-    from scipy import stats  # heavy, and no worker of a study wants it
+    from scipy import stats  # heavy, and no environment needs it
 
     k = real_array("dof", dof)
     tail = (1.0 - share("confidence", confidence)) / 2.0

@@ -90,17 +90,25 @@ def points(*seconds):
 
 
 def test_the_page_says_where_time_grew_most():
-    text = growth_page.page([(GROWTH, [(LINE, points(1.0, 5.0, 60.0))])], "it", "here", "images")
+    text = growth_page.page(
+        [(GROWTH, [(LINE, points(1.0, 5.0, 60.0))])], "it", "here", 0.1, "images"
+    )
     assert "kf: 10 times the rows took at most 12.0 times as long (from 10 to 100)." in text
     assert "| 100 | kf | 60 s | 600 ms | 1.7 | 400 MB | 1.11 MB |" in text
 
 
 def test_a_size_without_figures_is_a_row_with_its_reason():
     found = [*points(1.0, 5.0), Point(100, trouble="does not fit")]
-    text = growth_page.page([(GROWTH, [(LINE, found)])], "it", "here", "images")
+    text = growth_page.page([(GROWTH, [(LINE, found)])], "it", "here", 0.1, "images")
     assert "| 100 | kf | does not fit |" in text
     assert "took at most 5.0 times as long" in text
     assert "svg" in growth_page.picture(GROWTH, [(LINE, found)])
+
+
+@pytest.mark.parametrize("load", [0.1, 1.7])
+def test_the_page_says_whether_others_were_at_work(load):
+    text = growth_page.page([(GROWTH, [(LINE, points(1.0))])], "it", "here", load, "images")
+    assert ("Others were at work" in text) == (load > 0.5)
 
 
 @pytest.mark.parametrize(

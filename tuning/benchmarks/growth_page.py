@@ -15,11 +15,23 @@ COLORS = (PLAIN, OWN, BEST, MORE[0])
 PAPER, TEXT = "#ffffff", "#24292f"  # a picture in a page knows nothing of the page's colours
 MB = 1e6
 SPAN = 1.3  # by which a plot is higher and lower than what it shows
+QUIET = 0.5  # load, from which on others are at work
 NOISE = 2 * MB  # of memory: two processes that do the same differ by as much
 
 
-def page(found: Sequence[tuple[Growth, Found]], command: str, machine: str, folder: str) -> str:
-    """The page as Markdown; `folder` is where its pictures are, seen from it."""
+def page(
+    found: Sequence[tuple[Growth, Found]], command: str, machine: str, load: float, folder: str
+) -> str:
+    """The page as Markdown.
+
+    Args:
+        found: what was measured.
+        command: that it was measured by.
+        machine: where, in words.
+        load: of the machine, by others.
+        folder: where the pictures are, seen from the page.
+    """
+    busy = " Others were at work on these cores: where a curve jumps, it may be theirs."
     lines = [
         "# How fast: as work grows",
         "",
@@ -28,7 +40,7 @@ def page(found: Sequence[tuple[Growth, Found]], command: str, machine: str, fold
         "nothing else is said; memory is the most that the process ever held, with what it worked on, "
         "its imports and its compiled kernels.",
         "",
-        f"{machine} before it began.",
+        f"{machine} before it began.{busy if load > QUIET else ''}",
         "",
     ]
     for growth, series in found:
@@ -68,7 +80,7 @@ def _line(cells: Sequence[str]) -> str:
 
 
 def _row(growth: Growth, series: Series, point: Point, before: Point | None) -> list[str]:
-    first = [f"{point.size:,}", f"`{series.label}`" if "(" in series.label else series.label]
+    first = [f"{point.size:,}", _named(series)]
     if point.trouble:
         return [*first, point.trouble, *[""] * (4 + growth.each)]
     rate = point.units / point.seconds
@@ -78,6 +90,11 @@ def _row(growth: Growth, series: Series, point: Point, before: Point | None) -> 
         *first, in_words(point.seconds), in_words(point.seconds / point.units), pace, *each,
         f"{point.memory / MB:,.0f} MB", _more(point, before),
     ]  # fmt: skip
+
+
+def _named(series: Series) -> str:
+    """Its label, as code where it is some."""
+    return f"`{series.label}`" if "(" in series.label else series.label
 
 
 def _more(point: Point, before: Point | None) -> str:
@@ -106,7 +123,7 @@ def steepest(growth: Growth, series: Series, points: Sequence[Point]) -> str:
         return ""
     a, b = max(pairs, key=lambda p: (p[1].seconds / p[0].seconds) / (p[1].size / p[0].size))
     return (
-        f"{series.label}: {b.size / a.size:g} times the {growth.size} took at most "
+        f"{_named(series)}: {b.size / a.size:g} times the {growth.size} took at most "
         f"{b.seconds / a.seconds:.1f} times as long (from {a.size:,} to {b.size:,})."
     )
 

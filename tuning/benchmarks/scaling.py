@@ -199,9 +199,10 @@ def _scheduler(count: int, dask: bool) -> Iterator[str | None]:
 
 WHY_LANES = (
     "A step of the environment is one call for all lanes: what it costs Python is paid once, so that a "
-    "single lane is dear, while among a hundred the filter is what takes the time. Lanes share the recordings of a pool "
-    "and then take next to no memory. Without a pool each lane simulates a recording when it restarts, "
-    "one lane after the other, runs the filters that it is compared with over it, and keeps it."
+    "single lane is dear, while among a hundred the filter is what takes the time. Lanes share the "
+    "recordings of a pool and then take next to no memory. Without a pool each lane simulates a "
+    "recording when it restarts, one lane after the other, runs the filters that it is compared with "
+    "over it, and keeps it."
 )
 WHY_RECORDINGS = (
     "Filters take one recording after the other, so a sample costs the same among many as among few; "
@@ -222,7 +223,8 @@ WHY_WORKERS = (
     "processor time. Asking for trials and telling them is one process's work, and a batch ends with "
     "its slowest trial. So workers pay up to the number of cores that are free, and where a study is "
     "much longer than their start; more of them than cores only cost. Memory is the sum over all "
-    "processes, libraries that they share counted in each. Dask workers are such processes with a "
+    "processes, libraries that they share counted in each; a single worker is the study's own process, "
+    "two are two more. Dask workers are such processes with a "
     "guard each, and a scheduler between them and the study."
 )
 

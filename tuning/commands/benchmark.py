@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,9 +80,9 @@ def _scaling(rounds: int, command: str, options: BenchmarkOptions) -> int:
     from navgym.tuning.benchmarks import growth_page
     from navgym.tuning.benchmarks.scaling import scaling
 
-    state = machine()  # its own processes are no load
+    state, load = machine(), os.getloadavg()[0]  # its own processes are no load
     found = scaling(rounds, options.quick)
-    text = growth_page.page(found, command, state, IMAGES)
+    text = growth_page.page(found, command, state, load, IMAGES)
     print(text)
     if options.write is not None:
         folder = writable_folder("the folder of pictures", options.write.parent / IMAGES)
