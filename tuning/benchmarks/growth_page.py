@@ -102,7 +102,8 @@ def _more(point: Point, before: Point | None) -> str:
     if before is None or not point.memory - before.memory > NOISE:
         return ""
     more = (point.memory - before.memory) / (point.size - before.size)
-    return next(f"{more / k:,.3g} {name}" for k, name in ((MB, "MB"), (1e3, "kB"), (1.0, "B")) if more >= k)  # fmt: skip
+    name, k = next(unit for unit in (("MB", MB), ("kB", 1e3), ("B", 0.0)) if more >= unit[1])
+    return f"{more / (k or 1.0):,.3g} {name}"
 
 
 def in_words(seconds: float) -> str:

@@ -29,6 +29,7 @@ from navgym.tuning.benchmarks.auv import stepping
 from navgym.tuning.benchmarks.timing import seconds
 
 DECISIONS, INTERVAL = 160, 5  # of an episode of the environment; filter steps in each
+FILTERS = ("kf", "qivbf", "bank")
 STEPS = 500  # samples of a recording
 TRIALS = 200  # of a study, on 40 recordings of 800 samples
 BATCH = 8  # trials at once, so that eight workers have one each
@@ -193,39 +194,40 @@ def _scheduler(count: int, dask: bool) -> Iterator[str | None]:
         return
     from distributed import LocalCluster
 
-    with LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None) as cluster:  # type: ignore[no-untyped-call]
+    how: dict[str, Any] = {"threads_per_worker": 1, "dashboard_address": None}
+    with LocalCluster(n_workers=count, **how) as cluster:  # type: ignore[no-untyped-call]
         yield cluster.scheduler_address
 
 
 WHY_LANES = (
-    "A step of the environment is one call for all lanes: what it costs Python is paid once, so that a "
-    "single lane is dear, while among a hundred the filter is what takes the time. Lanes share the "
-    "recordings of a pool and then take next to no memory. Without a pool each lane simulates a "
-    "recording when it restarts, one lane after the other, runs the filters that it is compared with "
-    "over it, and keeps it."
+    "A step of the environment is one call for all lanes: what it costs Python is paid once, so "
+    "that a single lane is dear, while among a hundred the filter is what takes the time. Lanes "
+    "share the recordings of a pool and then take next to no memory. Without a pool each lane "
+    "simulates a recording when it restarts, one lane after the other, runs the filters that it "
+    "is compared with over it, and keeps it."
 )
 WHY_RECORDINGS = (
-    "Filters take one recording after the other, so a sample costs the same among many as among few; "
-    "what a call costs besides is seen where there is one. A sample stands in memory in its recording "
-    "and in the batch, and its state beside it: covariances and innovations are not asked for here. "
-    "Stacking copies and computes nothing, so it is as quick as memory."
+    "Filters take one recording after the other, so a sample costs the same among many as among "
+    "few; what a call costs besides is seen where there is one. A sample stands in memory in "
+    "its recording and in the batch, and its state beside it: covariances and innovations are "
+    "not asked for here. Stacking copies and computes nothing, so it is as quick as memory."
 )
 WHY_ROWS = (
-    "`navgym.estimate` keeps state, covariance, innovation, NIS and likelihood of every row, 208 bytes; "
-    "about as many again are the row in the recording and in the batch. With the last sizes memory "
-    "itself counts: what the system has not given to anybody for long takes a first call up to twice "
-    "as long, which is not in the table. A CSV file is looked through for its layout before it is read, "
-    "which is what a short one pays for. Its memory is the text, where each cell begins and ends, and "
-    "the numbers: some five times the file."
+    "`navgym.estimate` keeps state, covariance, innovation, NIS and likelihood of every row, "
+    "208 bytes; about as many again are the row in the recording and in the batch. With the "
+    "last sizes memory itself counts: what the system has not given to anybody for long takes a "
+    "first call up to twice as long, which is not in the table. A CSV file is looked through "
+    "for its layout before it is read, which is what a short one pays for. Its memory is the "
+    "text, where each cell begins and ends, and the numbers: some five times the file."
 )
 WHY_WORKERS = (
-    "A worker imports, loads kernels and makes the recordings before its first trial: some 1.5 s of "
-    "processor time. Asking for trials and telling them is one process's work, and a batch ends with "
-    "its slowest trial. So workers pay up to the number of cores that are free, and where a study is "
-    "much longer than their start; more of them than cores only cost. Memory is the sum over all "
-    "processes, libraries that they share counted in each; a single worker is the study's own process, "
-    "two are two more. Dask workers are such processes with a "
-    "guard each, and a scheduler between them and the study."
+    "A worker imports, loads kernels and makes the recordings before its first trial: some 1.5 "
+    "s of processor time. Asking for trials and telling them is one process's work, and a batch "
+    "ends with its slowest trial. So workers pay up to the number of cores that are free, and "
+    "where a study is much longer than their start; more of them than cores only cost. Memory "
+    "is the sum over all processes, libraries that they share counted in each; a single worker "
+    "is the study's own process, two are two more. Dask workers are such processes with a guard "
+    "each, and a scheduler between them and the study."
 )
 
 
@@ -246,14 +248,17 @@ def growths(quick: bool = False) -> tuple[Growth, ...]:
         Growth(
             "recordings", f"Recordings of {STEPS} samples", "recordings", "sample", ("µs", 1e6),
             (
-                *(Series(n, functools.partial(filtering, name=n), tens) for n in ("kf", "qivbf", "bank")),
+                *(Series(n, functools.partial(filtering, name=n), tens) for n in FILTERS),
                 Series("stacking", stacking, tens),
             ),
             WHY_RECORDINGS,
         ),
         Growth(
             "rows", "Rows of one log", "rows", "row", ("µs", 1e6),
-            (Series('navgym.estimate("kf")', estimating, rows), Series("reading a CSV file", reading, rows[:-1])),
+            (
+                Series('navgym.estimate("kf")', estimating, rows),
+                Series("reading a CSV file", reading, rows[:-1]),
+            ),
             WHY_ROWS,
         ),
         Growth(
@@ -297,8 +302,8 @@ def _told(path: Path, name: str) -> float:
 def measured_here(work: Work, turns: int) -> dict[str, float]:
     """Median time of up to `turns` turns, and the memory of them and of what they work on.
 
-    One turn goes before, if there is time for more than one: it takes from the system what the others
-    are given again, and for gigabytes that takes as long as the work.
+    One turn goes before, if there is time for more than one: it takes from the system what the
+    others are given again, and for gigabytes that takes as long as the work.
     """
     with contextlib.suppress(OSError):  # what was only needed to make it ready does not count
         (OWN / "clear_refs").write_text("5")
