@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import importlib.util
 import statistics
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium
@@ -39,19 +40,26 @@ def single_environment(rounds: int) -> list[Row]:
     return rows
 
 
-def batch_environment(rounds: int, **arguments: Any) -> float:
-    """Filter steps per second of 128 lanes on one core: observations, reference and reward too."""
-    lanes, decisions = 128, 160
+def stepping(lanes: int, decisions: int = 160, **arguments: Any) -> Callable[[], None]:
+    """A task: a full episode of each lane, its restart included, with random actions."""
     env = gymnasium.make_vec(
         ENV, num_envs=lanes, action_parameters=THREE, reference=FIVE_SWEEPS, **arguments
     )
     env.reset(seed=0)
     actions = env.action_space.sample()
+    env.step(actions)
 
     def task() -> None:
-        for _ in range(decisions + 1):  # one full episode of each lane, its restart included
+        for _ in range(decisions + 1):
             env.step(actions)
 
+    return task
+
+
+def batch_environment(rounds: int, **arguments: Any) -> float:
+    """Filter steps per second of 128 lanes on one core: observations, reference and reward too."""
+    lanes, decisions = 128, 160
+    task = stepping(lanes, decisions, **arguments)
     task()
     return lanes * decisions * 5 / statistics.median(seconds(task) for _ in range(rounds))
 

@@ -81,16 +81,22 @@ def measured(parts: Sequence[Callable[[int], Row | list[Row]]], rounds: int) -> 
     return rows
 
 
+def machine() -> str:
+    """Versions, cores and the load of the last minute."""
+    return (
+        f"navgym {navgym.__version__}, Python {platform.python_version()}, "
+        f"{os.cpu_count()} cores ({platform.machine()}), load {os.getloadavg()[0]:.1f}"
+    )
+
+
 def as_markdown(title: str, command: str, rows: Sequence[Row]) -> str:
     """The table with what is needed to read it."""
-    load = os.getloadavg()[0]
     lines = [
         f"# How fast: {title}",
         "",
         f"Written by `{command}`. Pairs were run in turns; a ratio is the median over the turns.",
         "",
-        f"navgym {navgym.__version__}, Python {platform.python_version()}, "
-        f"{os.cpu_count()} cores ({platform.machine()}), load {load:.1f}.",
+        f"{machine()}.",
         "",
         "| what | wanted | found |",
         "|---|---|---|",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,8 +11,9 @@ from typing import Annotated, Literal
 import tyro
 
 from navgym.command import as_typed
+from navgym.core.atomic import writable_folder
 from navgym.core.checks import positive_int
-from navgym.tuning.benchmarks.timing import Row, as_markdown
+from navgym.tuning.benchmarks.timing import Row, as_markdown, machine
 from navgym.tuning.commands.parse import parse
 from navgym.tuning.report.page import write_text
 
@@ -23,6 +25,7 @@ ABOUT = """How fast navgym is, as ratios to well-known things measured in the sa
     navgym benchmark agents             learning, acting, live filters (needs the agents extra)
     navgym benchmark studies            what Optuna and its storage cost
     navgym benchmark programs           tuning a program: what it costs, and whether its intervals hold
+    navgym benchmark scaling            time and memory as work grows, with plots beside --write's file
     navgym benchmark deck --write benchmarks-deck.md
 
 Machines are noisy, so each pair is run in turns, and the median of the ratios is what counts. The
@@ -37,6 +40,7 @@ TITLES = {
     "studies": "studies",
     "programs": "programs that are tuned",
 }
+IMAGES = "images"
 
 
 @dataclass(frozen=True)
@@ -44,22 +48,46 @@ class BenchmarkOptions:
     """What was asked for."""
 
     part: Annotated[
-        Literal["auv", "deck", "ins", "agents", "studies", "programs"], tyro.conf.Positional
+        Literal["auv", "deck", "ins", "agents", "studies", "programs", "scaling"],
+        tyro.conf.Positional,
     ]
     """what to measure"""
     rounds: int = 7
     """turns per pair"""
     write: Path | None = None
     """also write the table to this Markdown file"""
+    quick: bool = False
+    """scaling only: the least of each kind, in seconds"""
 
 
 def main(words: Sequence[str]) -> int:
     """Measure; returns the exit status."""
     options = parse(BenchmarkOptions, "benchmark", ABOUT, words)
-    rows = _part(options.part)(positive_int("rounds", options.rounds))
-    text = as_markdown(TITLES[options.part], as_typed("benchmark", words), rows)
+    rounds, command = positive_int("rounds", options.rounds), as_typed("benchmark", words)
+    if options.part == "scaling":
+        return _scaling(rounds, command, options)
+    if options.quick:
+        raise ValueError("--quick is of scaling only: leave it out, or ask for fewer --rounds.")
+    text = as_markdown(TITLES[options.part], command, _part(options.part)(rounds))
     print(text)
     if options.write is not None:
+        write_text(options.write, text)
+    return 0
+
+
+def _scaling(rounds: int, command: str, options: BenchmarkOptions) -> int:
+    """Measure growth; its page is written with pictures in `images` beside it."""
+    from navgym.tuning.benchmarks import growth_page
+    from navgym.tuning.benchmarks.scaling import scaling
+
+    state, load = machine(), os.getloadavg()[0]  # its own processes are no load
+    found = scaling(rounds, options.quick)
+    text = growth_page.page(found, command, state, load, IMAGES)
+    print(text)
+    if options.write is not None:
+        folder = writable_folder("the folder of pictures", options.write.parent / IMAGES)
+        for name, svg in growth_page.pictures(found).items():
+            write_text(folder / name, svg)
         write_text(options.write, text)
     return 0
 
