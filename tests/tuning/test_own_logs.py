@@ -97,6 +97,19 @@ def test_a_recording_with_a_model_of_its_own_is_tuned_to_the_end(mine, tmp_path)
     assert out
 
 
+@pytest.mark.parametrize(
+    ("name", "scenario"), [("ins_kf", "ins/nominal"), ("alignment", "deck/paper")]
+)
+def test_what_inspect_names_next_is_a_study_that_ends(name, scenario, tmp_path):
+    log = navgym.simulate(scenario, seed=1, duration=200.0).save(tmp_path / "log.npz")
+    found = navgym.inspect(log)
+    assert found.next == f"navgym tune --filter {name} --log {log}"
+    few = ("--trials", "2", "--sampler", "random", "--out", str(tmp_path / "run"))
+    status, _, err = run(*found.next.split()[1:], *few)
+    assert status == 0, err
+    assert (tmp_path / "run" / "tuned.toml").is_file()
+
+
 # ---- judged against a smoother
 
 
