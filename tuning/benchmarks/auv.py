@@ -15,10 +15,24 @@ import navgym
 from navgym.auv.problem import PROBLEM
 from navgym.simulation import simulate_many
 from navgym.statespace.batch import StateSpaceBatch
-from navgym.tuning.benchmarks.timing import Row, episodes, measured, paired, python, seconds
+from navgym.tuning.benchmarks.timing import (
+    Row,
+    compiled,
+    episodes,
+    measured,
+    paired,
+    python,
+    seconds,
+)
 
 ENV = "navgym/AUVDropout-v0"
 FIVE_SWEEPS = {"vb_iterations": 5}
+COMPILE = """
+import numpy as np, navgym, navgym.estimation
+model = navgym.LinearModel(F=np.eye(8), Q=np.eye(8), H=np.eye(3, 8), R=np.eye(3), position=(0,))
+recording = navgym.Recording(np.arange(20.0), np.ones((20, 3)), model=model)
+navgym.estimate("{name}", recording)
+"""
 THREE = ("prior_count", "forgetting", "process_noise_scale")  # so that sweeps stay at five
 
 
@@ -28,7 +42,8 @@ def single_environment(rounds: int) -> list[Row]:
     what = "single env, decision_interval 1, 5 sweeps, against CartPole-v1"
     rows = []
     pools: dict[str, Any] = {"pool of 64 recordings": {"pool": 64}, "new recordings": {}}
-    for kind, arguments in pools.items():
+    wanted = ("at least 1.3x", "at least 1x")
+    for (kind, arguments), least in zip(pools.items(), wanted, strict=True):
         ours = gymnasium.make(
             ENV, decision_interval=1, action_parameters=THREE, reference=FIVE_SWEEPS, **arguments
         )
@@ -36,7 +51,7 @@ def single_environment(rounds: int) -> list[Row]:
             episodes(ours, steps), episodes(gymnasium.make("CartPole-v1"), steps), rounds
         )
         found = f"{ratio:.2f}x ({steps / mine:,.0f} against {steps / other:,.0f} steps/s)"
-        rows.append(Row(f"{what}, {kind}", "at least 1x", found))
+        rows.append(Row(f"{what}, {kind}", least, found))
     return rows
 
 
@@ -66,12 +81,19 @@ def batch_environment(rounds: int, **arguments: Any) -> float:
 
 def batches(rounds: int) -> list[Row]:
     """The batch environment with a pool of recordings, and with a new one per episode."""
-    wanted = "at least .5 M filter steps/s per core"
     pool = batch_environment(rounds, pool=256)
     fresh = batch_environment(rounds)
     return [
-        Row("batch env, 128 lanes, pool of 256 recordings", wanted, f"{pool / 1e6:.2f} M/s"),
-        Row("batch env, 128 lanes, simulated anew at each reset", "told", f"{fresh / 1e6:.2f} M/s"),
+        Row(
+            "batch env, 128 lanes, filter steps, pool of 256 recordings",
+            "at least 2 M/s",
+            f"{pool / 1e6:.2f} M/s",
+        ),
+        Row(
+            "batch env, 128 lanes, filter steps, simulated anew at each reset",
+            "at least 1 M/s",
+            f"{fresh / 1e6:.2f} M/s",
+        ),
     ]
 
 
@@ -94,7 +116,7 @@ def against_filterpy(rounds: int) -> Row:
     """`kf` against filterpy's KalmanFilter on the same series."""
     what = "kf against filterpy, 20 series of 500"
     if importlib.util.find_spec("filterpy") is None:
-        return Row(what, "at least 100x", "not measured: pip install filterpy")
+        return Row(what, "at least 150x", "not measured: pip install filterpy")
     from filterpy.kalman import KalmanFilter
 
     recordings = simulate_many("auv/nominal", navgym.seeds("test", 20))
@@ -111,7 +133,17 @@ def against_filterpy(rounds: int) -> Row:
                 kf.update(None if gone else z)
 
     _, _, ratio = paired(lambda: PROBLEM.run("kf", batch), theirs, rounds)
-    return Row(what, "at least 100x", f"{ratio:,.0f}x")
+    return Row(what, "at least 150x", f"{ratio:,.0f}x")
+
+
+def compiling(rounds: int) -> list[Row]:  # noqa: ARG001 - once: it takes long
+    """Filters of a size that nothing was compiled for."""
+    rows = []
+    for name in ("kf", "qivbf", "ekf", "bank"):
+        spent = compiled(COMPILE.format(name=name))
+        what = f"compiling {name} for 8 states and 3 measurements"
+        rows.append(Row(what, "at most 5 s", f"{spent:.1f} s of processor time"))
+    return rows
 
 
 def against_dynamax(rounds: int) -> Row:
@@ -119,7 +151,7 @@ def against_dynamax(rounds: int) -> Row:
     # with one model and no loss, vmap computes the covariances once for all series; kf per series
     what = "kf against dynamax jit+vmap (one covariance for all), 1000 series of 500, no loss"
     if importlib.util.find_spec("dynamax") is None:
-        return Row(what, "told", "not measured: pip install dynamax")
+        return Row(what, "at least 1x", "not measured: pip install dynamax")
     import jax
     from dynamax.linear_gaussian_ssm import LinearGaussianSSM, lgssm_filter
 
@@ -141,7 +173,7 @@ def against_dynamax(rounds: int) -> Row:
     mine, other, ratio = paired(
         lambda: PROBLEM.run("kf", batch), lambda: many(batch.y).block_until_ready(), rounds
     )
-    return Row(what, "told", f"{ratio:.1f}x ({mine * 1e3:.0f} against {other * 1e3:.0f} ms)")
+    return Row(what, "at least 1x", f"{ratio:.1f}x ({mine * 1e3:.0f} against {other * 1e3:.0f} ms)")
 
 
 def start_up(rounds: int) -> list[Row]:
@@ -188,7 +220,7 @@ def auv(rounds: int) -> list[Row]:
     return measured(
         [
             single_environment, batches, objective, against_filterpy, against_dynamax, simulation,
-            start_up, filters_table,
+            start_up, compiling, filters_table,
         ],
         rounds,
     )  # fmt: skip
