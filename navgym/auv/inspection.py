@@ -70,6 +70,8 @@ def evidence(recording: Recording, log: Path, options: Mapping[str, Any]) -> Evi
         findings += _of_motion(both, raw, recording.meta.get("columns", {}))
     if raw is not None and not any(f.kind in DISAGREEING for f in findings):
         findings += _accuracy(recording, names, raw, both)
+    if any(f.kind in DISAGREEING for f in findings):  # noise of wrong velocities is none
+        known, both = [n for n in known if _KIND[n] != "velocity"], None
     lines, words = _noise(recording, known, both, raw)
     track = _track(recording, names)
     return Evidence(channels, findings, lines, words, track)

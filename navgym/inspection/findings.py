@@ -271,7 +271,7 @@ class Inspection:
         """All but the series and the recording, for JSON."""
         return {
             "log": self.log, "format": self.format, "problem": self.problem, "status": self.status,
-            "told": dict(self.told),
+            "told": [list(line) for line in self.told],  # of a name there may be several
             "findings": [f.as_dict() for f in self.findings],
             "channels": [c.as_dict() for c in self.channels],
             "losses": [{n: float(v) if isinstance(v, float) else v for n, v in vars(each).items()} for each in self.losses],

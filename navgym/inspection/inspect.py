@@ -19,6 +19,7 @@ from navgym.inspection.findings import (
     Inspection,
     Losses,
 )
+from navgym.inspection.mending import in_all, mended, pairs, told
 from navgym.inspection.reading import Read, as_finding, read
 from navgym.inspection.timing import losses
 from navgym.problem import Problem
@@ -54,7 +55,8 @@ def of(log: Path, reading: ReaderOptions) -> Inspection:
 
 
 def _looked_over(log: Path, reading: ReaderOptions) -> Inspection:
-    from navgym.read_command import following, told
+    from navgym.read_command import following
+    from navgym.read_command import told as lines_of
 
     done = read(log, reading)
     name = reading.format_of(log)
@@ -67,12 +69,14 @@ def _looked_over(log: Path, reading: ReaderOptions) -> Inspection:
         )  # fmt: skip
     problem = done.reading.problem(log)
     evidence = _evidence(problem, log, done)
-    lines = told(done.recording, problem)
+    lines = lines_of(done.recording, problem)
     doubts = [as_finding(text) for name, text in lines if name == "doubt"]
     lines = [*lines[:1], *held, *((name, text) for name, text in lines[1:] if name != "doubt")]
     said = [*done.findings, *(f for f in doubts if f is not None)]
-    findings = _sorted([*said, *evidence.findings, *_of_channels(evidence.channels)])
-    next_command = _next(log, done, findings, evidence, following, problem)
+    found = [*said, *evidence.findings, *_of_channels(evidence.channels)]
+    options = done.reading.options(name)
+    findings = _sorted([in_all(f, options) for f in found])
+    next_command = _next(log, reading, done, findings, evidence, following, problem)
     return Inspection(
         str(log), name, problem.title, tuple(lines), findings, tuple(evidence.channels),
         _losses(evidence.channels), tuple(evidence.noise), evidence.words, next_command, command,
@@ -163,18 +167,16 @@ def _told(reading: ReaderOptions) -> list[str]:
     return words + (["--read", *reading.words] if reading.words else [])
 
 
-def _next(log, done, findings, evidence, following, problem) -> str:  # type: ignore[no-untyped-def]
+def _next(log, reading, done, findings, evidence, following, problem) -> str:  # type: ignore[no-untyped-def]
     """Mend what options can mend and look again; else tune, with the noise that the log suggests."""
-    mending = [f.options for f in findings if f.options][:MENDABLE]
-    words = list(done.reading.words)
-    for options in mending:
-        named = words[::2] if not words or not words[0].endswith(".toml") else words[1::2]
-        if options[0] not in named:
-            words += options
-    if mending:
-        told = ReaderOptions(tuple(words), done.reading.format)
-        return shlex.join(["navgym", "inspect", str(log), *_told(told)])
-    own = [w for pair in zip(evidence.words[::2], evidence.words[1::2], strict=True) if pair[0] not in words for w in pair]  # fmt: skip
-    told = ReaderOptions((*words, *own), done.reading.format)
-    command: str = following(told, log, done.recording, problem)
+    name = done.reading.format_of(log)
+    options = done.reading.options(name)
+    mending = [f for f in findings if f.options][:MENDABLE]
+    words = mended(done.reading.words, mending, options, options_of(reader_of(name)))
+    if words != list(reading.words):  # the same command again would find the same
+        told_all = ReaderOptions(tuple(words), done.reading.format)
+        return shlex.join(["navgym", "inspect", str(log), *_told(told_all)])
+    own = [w for n, value in pairs(evidence.words) if told(options, n) is None for w in (n, value)]
+    told_all = ReaderOptions((*words, *own), done.reading.format)
+    command: str = following(told_all, log, done.recording, problem)
     return command

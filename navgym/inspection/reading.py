@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from navgym.inspection.findings import Finding
+from navgym.inspection.mending import named
 from navgym.readers import ReaderOptions
 
 # what readers say, and the kind of finding that it is; the first that fits counts
@@ -132,7 +133,8 @@ def as_finding(text: str, doubted: bool = False) -> Finding | None:
     """
     for pattern, kind in _SAID:
         if re.search(pattern, text):
-            return Finding(kind, _channel(text), text)
+            said = text.removeprefix(f"{kind}: ")
+            return Finding(kind, _channel(said), said, options=named(said))
     if not doubted or _SILENT.search(text):
         return None
     return Finding("reader", _channel(text), text)
