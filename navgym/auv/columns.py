@@ -13,7 +13,7 @@ from navgym.auv.fields import GEOGRAPHIC, SENSORS, Field, means
 from navgym.auv.geodesy import LIMITS, degrees_of, degrees_of_nmea, signed, to_plane
 from navgym.auv.rows import sentinel
 from navgym.core.checks import Array, one_of
-from navgym.core.clocks import Times, read_times
+from navgym.core.clocks import Times, date_of, read_times
 from navgym.core.layout import LOST
 from navgym.core.notes import Notes
 from navgym.core.repeats import is_held, quantum, repeats
@@ -72,7 +72,10 @@ class Columns:
         if found.nights:
             self.notes.say(f"the clock passed midnight {found.nights} times: days added")
         if found.start is not None:
-            self.notes.say(f"times are s since the first row's, {found.start}")
+            date = date_of(found.start, found.scale) if found.kind == "number" else None
+            self.notes.say(
+                f"times are s since the first row's, {found.start}{f' ({date})' if date else ''}"
+            )
         return found
 
     def _dated(self) -> tuple[Table, Field | None]:

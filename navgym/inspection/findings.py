@@ -231,7 +231,7 @@ class Inspection:
         losses: by sensor.
         noise: what the log suggests, lines of a name and a text.
         model: words for --read with the model that the log suggests.
-        next: the command to run now.
+        next: the command to run now, "" where none helps before the file is mended.
         command: the one that was run, "" for none.
         track: (north, east), m, or None.
         recording: what the reader made of it, or None.

@@ -20,7 +20,7 @@ from navgym.inspection.findings import (
     Losses,
 )
 from navgym.inspection.mending import in_all, mended, pairs, told
-from navgym.inspection.reading import Read, as_finding, read
+from navgym.inspection.reading import CLOCK, Read, as_finding, read
 from navgym.inspection.timing import losses
 from navgym.problem import Problem
 from navgym.readers import ReaderOptions, reader_of
@@ -136,14 +136,21 @@ def _losses(channels: Sequence[Channel]) -> tuple[Losses, ...]:
 def _refused(
     log: Path, reading: ReaderOptions, name: str, held: Sequence[Line], findings: Sequence[Finding]
 ) -> str:
-    """Where a file cannot be read: in a text file, say what columns hold; of an IMU alone, another format."""
+    """Where a file cannot be read: in a text file, say what columns hold; of an IMU alone, another format.
+
+    "" where no command would help: whoever cuts the file, or converts it, goes on from there.
+    """
     words = ["navgym", "read", str(log), *_told(reading)]
+    if any(f.kind == CLOCK for f in findings):
+        return ""
     if log.is_file() and "delimiter" in options_of(reader_of(name)):
         words += ["--write-mapping", "mapping.toml"]
     elif name == AIDED[0] and held and any(IMU in f.said for f in findings):
         words = ["navgym", "inspect", str(log), "--format", AIDED[1]]
     elif held and any(NO_IMU in f.said for f in findings):
         words = ["navgym", "inspect", str(log)]
+    else:
+        return ""
     return shlex.join(words)
 
 
@@ -169,6 +176,8 @@ def _told(reading: ReaderOptions) -> list[str]:
 
 def _next(log, reading, done, findings, evidence, following, problem) -> str:  # type: ignore[no-untyped-def]
     """Mend what options can mend and look again; else tune, with the noise that the log suggests."""
+    if any(f.kind == CLOCK and not f.options for f in findings):
+        return ""
     name = done.reading.format_of(log)
     options = done.reading.options(name)
     mending = [f for f in findings if f.options][:MENDABLE]

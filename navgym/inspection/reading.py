@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +47,7 @@ _REFUSED = (
     (r"must be a number|must be a date|must be a clock|got '", "text"),
     (r"even steps|increase strictly|rows? .*after|gap", "uneven"),
 )  # fmt: skip
+CLOCK = "clock set"
 _SILENT = re.compile(
     r"nothing shows it|no magnetometer"
 )  # said of sound logs too: a fact, no fault
@@ -107,6 +108,11 @@ def _repaired(log: Path, reading: ReaderOptions, refused: Finding, words: tuple[
     if found.recording is None:
         return None
     repaired = Finding(refused.kind, refused.channel, refused.said, refused.remedy, words)
+    if refused.kind == CLOCK and any(f.kind == "conflict" for f in found.findings):
+        repaired = replace(
+            repaired, said=refused.said.partition(": cut the file")[0], options=(),
+            remedy="cut the file there: sorted, it would mix moments of before with others of after",
+        )  # fmt: skip
     own = [f for f in found.findings if f.kind not in (refused.kind, "order") or f.options]
     return Read(found.recording, [repaired, *own], found.reading, True)
 
