@@ -33,7 +33,8 @@ def evidence(recording: InertialRecording, log: Path, options: Mapping[str, Any]
     channels = [*_imu(r), *_aiding(r)]
     findings = [*_gravity(r), *_speeds(r)]
     for name, sensor in r.aiding.items():
-        findings += timing.gaps(sensor.time[~sensor.lost], name) if not sensor.lost.any() else []
+        findings += timing.gaps(sensor.time, name)
+        findings += timing.outage(sensor.time[~sensor.lost], name, timing.long_steps(sensor.time))
         findings += timing.rate(sensor.time, name)
     lines, words = _noise(r)
     fixes = [a.values for n, a in r.aiding.items() if r.model.sensors[n].kind == "fix"]

@@ -112,6 +112,7 @@ class Channel:
         time: (T,) s, in order; equal times may stand side by side.
         values: (T,) NaN where nothing was received.
         mended: names of kinds that the reader has dealt with already.
+        digit: step between the values as they stand in the file, in `unit`; 0 where the values show it.
     """
 
     name: str
@@ -121,6 +122,7 @@ class Channel:
     time: Array
     values: Array
     mended: frozenset[str] = frozenset()
+    digit: float = 0.0
 
     @property
     def received(self) -> NDArray[np.bool_]:
