@@ -32,7 +32,15 @@ MISLED = (
     4.0,
     100.0,
 )  # times: scatter over the receiver's own accuracy, and the accuracy over the scatter
-DISAGREEING = ("frame", "axes", "units", "scale", "sign", "rotation")  # that make noise of no noise
+DISAGREEING = (
+    "degrees",
+    "frame",
+    "axes",
+    "units",
+    "scale",
+    "sign",
+    "rotation",
+)  # that make noise of no noise
 FINE_DEGREE = 1e-3  # °: over so little a plane is the Earth
 DIGITS = 3  # of a suggested number
 

@@ -19,6 +19,7 @@ from navgym.inspection.findings import Channel, Evidence, Finding
 
 XYZ = ("x", "y", "z")
 OFF = 0.03  # share of gravity by which the usual specific force may miss it
+IN_G = 0.1  # share by which the usual force of accelerometers in g may miss 1
 FASTER, FEWEST = 1.25, 8  # fixes against the Doppler log's speed; stretches between fixes
 _KIND = {
     "dvl": ("velocity", ("vx", "vy", "vz")), "water": ("velocity", ("vx", "vy", "vz")),
@@ -61,7 +62,13 @@ def _aiding(r: InertialRecording) -> Iterator[Channel]:
 
 def _gravity(r: InertialRecording) -> Iterator[Finding]:
     size = float(np.nanmedian(np.linalg.norm(r.velocity / r.interval, axis=1)))
-    if abs(size / GRAVITY - 1.0) > OFF:
+    unit = next((u for u, one in (("g", 1.0), ("mg", 1e3)) if abs(size / one - 1.0) < IN_G), None)
+    if unit is not None:
+        yield Finding(
+            "gravity", "imu", f"the usual specific force is {size:.4g}: the accelerometers are in {unit}, not m/s²",
+            f"multiply them by {GRAVITY if unit == 'g' else GRAVITY / 1e3:.6g}",
+        )  # fmt: skip
+    elif abs(size / GRAVITY - 1.0) > OFF:
         yield Finding(
             "gravity", "imu",
             f"the usual specific force is {size:.4g} m/s², {size / GRAVITY - 1.0:+.1%} from gravity",

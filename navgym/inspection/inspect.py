@@ -28,6 +28,7 @@ from navgym.readers import ReaderOptions, reader_of
 Line = tuple[str, str]
 
 AIDED = "log", "ins_log"  # formats of devices' logs: positions and velocities, or an IMU as well
+IMU_SET, IMU_FILE = "ins_csv", "imu.csv"  # a folder, and what must be in it
 NO_IMU = "format 'log'"  # what an error says where there is none
 IMU = "'ins_log'"  # what an error says where there is an IMU and nothing else
 MENDABLE = 8  # findings whose options are put into the next command
@@ -74,8 +75,9 @@ def _looked_over(log: Path, reading: ReaderOptions) -> Inspection:
     lines = [*lines[:1], *held, *((name, text) for name, text in lines[1:] if name != "doubt")]
     said = [*done.findings, *(f for f in doubts if f is not None)]
     found = [*said, *evidence.findings, *_of_channels(evidence.channels)]
-    options = done.reading.options(name)
-    findings = _sorted([in_all(f, options) for f in found])
+    options, repaired = done.reading.options(name), found[: int(done.repaired)]
+    more = [in_all(f, options) for f in found[len(repaired) :]]  # a repair is among the options
+    findings = _sorted([*repaired, *more])
     next_command = _next(log, reading, done, findings, evidence, following, problem)
     return Inspection(
         str(log), name, problem.title, tuple(lines), findings, tuple(evidence.channels),
@@ -143,6 +145,8 @@ def _refused(
     words = ["navgym", "read", str(log), *_told(reading)]
     if any(f.kind == CLOCK for f in findings):
         return ""
+    if name == IMU_SET and log.is_file():
+        return shlex.join(["navgym", "inspect", str(log.parent)]) if log.name == IMU_FILE else ""
     if log.is_file() and "delimiter" in options_of(reader_of(name)):
         words += ["--write-mapping", "mapping.toml"]
     elif name == AIDED[0] and held and any(IMU in f.said for f in findings):
@@ -176,7 +180,7 @@ def _told(reading: ReaderOptions) -> list[str]:
 
 def _next(log, reading, done, findings, evidence, following, problem) -> str:  # type: ignore[no-untyped-def]
     """Mend what options can mend and look again; else tune, with the noise that the log suggests."""
-    if any(f.kind == CLOCK and not f.options for f in findings):
+    if done.repaired and not done.findings[0].options:
         return ""
     name = done.reading.format_of(log)
     options = done.reading.options(name)

@@ -1,5 +1,8 @@
 """Outages, digits and fixes at (0, 0): what stands in the cells, and what does not."""
 
+import dataclasses
+import shlex
+
 import numpy as np
 import pytest
 
@@ -104,3 +107,75 @@ def test_fixes_at_the_origin_of_the_globe_are_told(tmp_path):
     (zero,) = [f for f in found.findings if f.kind == "sentinel"]
     assert "8 fixes at (0, 0) are taken for lost ones" in zero.said
     assert kinds(found) == {("sentinel", zero.channel)}
+
+
+# ---- units and frames whose option is another, or none
+
+
+def test_degrees_in_radians_are_no_scale(tmp_path):
+    columns = degrees(logs.eights(), 12)
+    for name in ("lat", "lon"):
+        columns[name] = np.radians(columns[name])
+    log = tmp_path / "log.csv"
+    rows = zip(*([f"{v:.12g}" for v in values] for values in columns.values()), strict=True)
+    log.write_text("\n".join([",".join(columns), *map(",".join, rows)]) + "\n")
+    found = inspect(log)
+    assert {f.kind for f in found.findings} == {"degrees"}
+    assert found.next.endswith("--read units.lat rad units.lon rad")
+    assert found.model == () or "velocity_noise" not in found.model
+    again = inspect(log, "units.lat", "rad", "units.lon", "rad")
+    assert [f.kind for f in again.findings] == []
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "suspect"),
+    [
+        (lambda c: c | {"lat": c["lon"], "lon": c["lat"]}, "axes", "latitude and longitude"),
+        (lambda c: c | {"lon": -c["lon"]}, "sign", "longitude"),
+        (lambda c: c | {"vy": -c["vy"]}, "sign", "longitude"),
+    ],
+)
+def test_of_degrees_and_velocities_both_are_suspects(change, kind, suspect, tmp_path):
+    columns = change(degrees(logs.eights(), at=(0.5, -8.4)))
+    found = inspect(logs.written(tmp_path / "log.csv", columns))
+    (one,) = [f for f in found.findings if f.kind == kind]
+    assert suspect in one.said
+    assert one.options == ()
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("g", 1.0), ("mg", 1e3)])
+def test_accelerometers_in_g_are_named_and_not_hidden(unit, factor, tmp_path):
+    r = logs.ins()
+    velocity = np.array(r.velocity) / 9.80665 * factor
+    wrong = dataclasses.replace(r, velocity=velocity, check_units=False)
+    found = inspect(write_ins_csv(wrong, tmp_path / "set"))
+    (gravity,) = [f for f in found.findings if f.kind == "gravity"]
+    assert f"in {unit}, not m/s²" in gravity.said
+    assert "units" in {f.kind for f in found.findings}
+    assert found.next == ""
+
+
+def test_an_imu_the_other_way_up_is_turned_by_the_next_command(tmp_path):
+    found = inspect(logs.DEFECTS["an_imu_is_mounted_the_other_way_up"][2](tmp_path))
+    words = shlex.split(found.next)
+    again = inspect(tmp_path / "set", *words[words.index("--read") + 1 :])
+    assert "turn.acc_z" in words
+    assert again.findings == ()
+
+
+@pytest.mark.parametrize("name", ["imu.csv", "other.csv"])
+def test_one_file_of_an_ins_is_unreadable_and_told_where_it_belongs(name, tmp_path):
+    folder = write_ins_csv(logs.ins(), tmp_path / "set")
+    log = (folder / "imu.csv").rename(folder / name)
+    found = inspect(log, format_name="ins_csv")
+    assert [f.kind for f in found.findings] == ["unreadable"]
+    assert "folder" in found.findings[0].remedy
+    assert found.next == (f"navgym inspect {folder}" if name == "imu.csv" else "")
+
+
+def test_the_longest_step_is_told_where_one_is_longer(tmp_path):
+    even = dict(inspect(logs.written(tmp_path / "log.csv", logs.eights())).told)
+    assert even["step"] == "1 s (median)"
+    columns = {n: np.delete(v, 50) for n, v in logs.eights().items()}
+    gone = dict(inspect(logs.written(tmp_path / "gone.csv", columns)).told)
+    assert gone["step"] == "1 s (median), the longest 2 s, after 49 s"
