@@ -190,9 +190,9 @@ def _of_times(
             yield from timing.rate(raw.time[mine], sensor)
         known += [s for mine in raw.own.values() for s in timing.long_steps(raw.time[mine])]
     for sensor in dict.fromkeys(c.sensor for c in channels):
-        mine = [c for c in channels if c.sensor == sensor]
-        there = np.all([c.received for c in mine], axis=0)
-        yield from timing.outage(mine[0].time[there], sensor, known)
+        group = [c for c in channels if c.sensor == sensor]
+        there = np.all([c.received for c in group], axis=0)
+        yield from timing.outage(group[0].time[there], sensor, known)
 
 
 _KIND = {n: sensor for sensor, names in SENSORS.items() for n in names}
