@@ -14,6 +14,7 @@ from navgym.core.notes import Notes
 Flags = NDArray[np.bool_]
 
 FEW = 5  # late rows one after the other: from here a clock was set back, below a row came late
+JUMP = 3.0  # nine-tenths quantiles of a column's steps: from here it does not go on
 MANY = 20  # steps that make one of them usual
 EVEN = 0.2  # share of the usual step by which those about a clock that was set may miss it
 COARSE = 1.5, 20  # rows per time, and conflicts: from here stamps are too coarse
@@ -74,10 +75,12 @@ def order(rows: Rows, sort: bool | None, notes: Notes) -> NDArray[np.int64]:
         k = set_back(rows)
         if sort is False or k is not None:
             k = int(falls[np.argmin(steps[falls])]) + 1 if k is None else k
+            remedy = "cut the file there, or pass sort=True, which sorts all rows by their times."
+            if sort is None and _moves_on(rows.y, k):
+                remedy = "the values go on over it: cut the file there, or mend the later times."
             raise ValueError(
                 f"{notes.file}, line {lines[k]}, column 'time': {_fall(time, k)}, as where a clock is "
-                "set or another voyage begins: cut the file there, or pass sort=True, which sorts all "
-                "rows by their times."
+                f"set or another voyage begins: {remedy}"
             )
     if len(falls):
         worst = -float(steps[falls].min())
@@ -89,6 +92,18 @@ def order(rows: Rows, sort: bool | None, notes: Notes) -> NDArray[np.int64]:
 
 def _fall(time: Array, k: int) -> str:
     return f"the time goes back by {time[k - 1] - time[k]:.6g} s, from {time[k - 1]:.6g} s to {time[k]:.6g} s"
+
+
+def _moves_on(y: Array, k: int) -> bool:
+    """Whether each column of y, (T, m), goes on from row k - 1 to row k as between other rows."""
+    for column in y.T:
+        before, after = (part[~np.isnan(part)] for part in (column[:k], column[k:]))
+        if len(before) < FEW or len(after) < FEW:
+            return False
+        steps = np.abs(np.concatenate([np.diff(before), np.diff(after)]))
+        if abs(after[0] - before[-1]) > JUMP * float(np.quantile(steps, 0.9)):
+            return False
+    return True
 
 
 def clock_set(rows: Rows) -> str:

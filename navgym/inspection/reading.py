@@ -118,10 +118,11 @@ def _repaired(log: Path, reading: ReaderOptions, refused: Finding, words: tuple[
         return None
     options = () if words[0] == HIDING else words
     repaired = Finding(refused.kind, refused.channel, refused.said, refused.remedy, options)
-    if refused.kind == CLOCK and any(f.kind == "conflict" for f in found.findings):
+    mixed = any(f.kind == "conflict" for f in found.findings)
+    if refused.kind == CLOCK and (mixed or "sort=True" not in refused.said):
         repaired = replace(
             repaired, said=refused.said.partition(": cut the file")[0], options=(),
-            remedy="cut the file there: sorted, it would mix moments of before with others of after",
+            remedy="cut the file there, or mend the later times: sorting mixes moments of before and after",
         )  # fmt: skip
     own = [f for f in found.findings if f.kind not in (refused.kind, "order") or f.options]
     return Read(found.recording, [repaired, *own], found.reading, True)

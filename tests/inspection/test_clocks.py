@@ -28,6 +28,24 @@ def test_a_clock_set_back_by_whole_steps_is_found_however_short(seconds, tmp_pat
     assert "sort=True" not in clock.said + clock.remedy  # which would mix two moments
 
 
+@pytest.mark.parametrize("seconds", [7.25, 50.25, 3600.0])
+def test_a_clock_that_was_set_is_not_sorted_where_the_vehicle_moves_on(seconds, tmp_path):
+    found = inspect(logs.written(tmp_path / "log.csv", _set_back(seconds)))
+    clock = next(f for f in found.findings if f.kind == "clock set")
+    assert "sort=True" not in clock.said
+    assert "cut the file there" in clock.remedy
+    assert found.next == ""
+
+
+def test_blocks_in_another_order_are_sorted_by_the_next_command(tmp_path):
+    k = np.r_[150 : logs.ROWS, 0:150]
+    log = logs.written(tmp_path / "log.csv", {n: v[k] for n, v in logs.eights().items()})
+    found = inspect(log)
+    assert [f.kind for f in found.findings] == ["clock set"]
+    assert found.next.endswith("--read sort true")
+    assert {f.kind for f in inspect(log, "sort", "true").findings} == {"order"}
+
+
 @pytest.mark.parametrize("rows", [1, 2, 3, 4])
 @pytest.mark.parametrize("how", ["late", "twice"])
 def test_rows_that_came_late_or_twice_are_no_clock_that_was_set(rows, how, tmp_path):
