@@ -91,7 +91,8 @@ def order(rows: Rows, sort: bool | None, notes: Notes) -> NDArray[np.int64]:
 
 
 def _fall(time: Array, k: int) -> str:
-    return f"the time goes back by {time[k - 1] - time[k]:.6g} s, from {time[k - 1]:.6g} s to {time[k]:.6g} s"
+    top = float(time[:k].max())
+    return f"the time goes back by {top - time[k]:.6g} s, from {top:.6g} s to {time[k]:.6g} s"
 
 
 def _moves_on(y: Array, k: int) -> bool:
@@ -121,10 +122,25 @@ def set_back(rows: Rows) -> int | None:
     late = int((rows.time < np.maximum.accumulate(rows.time)).sum())
     if late >= FEW and late >= 3 * len(falls):
         return int(falls[np.argmin(steps[falls])]) + 1
-    if len(falls) > FEW or len(steps) < MANY:
-        return None
+    found = (each[k] for each in _by_sensor(rows) for k in _short_falls(rows.take(each)))
+    return next((int(k) for k in found), None)
+
+
+def _by_sensor(rows: Rows) -> list[NDArray[np.intp]]:
+    """All rows, and where those of several sensors stand between each other, each one's."""
+    kinds, of = np.unique(~np.isnan(rows.y), axis=0, return_inverse=True)
+    mine = [np.flatnonzero(of.ravel() == j) for j, there in enumerate(kinds) if there.any()]
+    return [np.arange(len(rows)), *(mine if len(mine) > 1 else [])]
+
+
+def _short_falls(rows: Rows) -> list[int]:
+    """Rows before which a clock was set back by a few steps."""
+    steps = np.diff(rows.time)
+    falls = np.flatnonzero(steps < 0.0) + 1
+    if not len(falls) or len(falls) > FEW or len(steps) < MANY:
+        return []
     usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
-    return next((int(k) + 1 for k in falls if _runs_on(rows, int(k) + 1, usual)), None)
+    return [int(k) for k in falls if _runs_on(rows, int(k), usual)]
 
 
 def _runs_on(rows: Rows, k: int, usual: float) -> bool:

@@ -28,6 +28,21 @@ def test_a_clock_set_back_by_whole_steps_is_found_however_short(seconds, tmp_pat
     assert "sort=True" not in clock.said + clock.remedy  # which would mix two moments
 
 
+def test_a_short_fall_of_one_sensor_of_several_is_found(tmp_path):
+    store, voyage = writers.typestore(), Sailed(logs.eights())
+    rest = []
+    for message in writers.messages(store, voyage):
+        if message[0] == "/gps/fix" and message[2] > voyage.start + 200 * 10**9:
+            message[3].header.stamp.sec -= 3
+        if message[0] in ("/gps/fix", "/imu", "/dvl"):
+            rest.append(message)
+    none = Sailed({n: v[:0] for n, v in logs.eights().items()})
+    found = inspect(writers.bag(tmp_path / "dive", none, more=rest))
+    (clock,) = [f for f in found.findings if f.kind == "clock set"]
+    assert "goes back by 2 s, from 200 s" in clock.said
+    assert found.next == ""
+
+
 @pytest.mark.parametrize("seconds", [7.25, 50.25, 3600.0])
 def test_a_clock_that_was_set_is_not_sorted_where_the_vehicle_moves_on(seconds, tmp_path):
     found = inspect(logs.written(tmp_path / "log.csv", _set_back(seconds)))
