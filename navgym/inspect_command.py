@@ -26,6 +26,7 @@ ABOUT = """Look a log over: what it holds, what is wrong with it, what noise it 
 it is: that is said as a finding too, and how the reader can be told to read it.
 """
 
+NO_COMMAND = "no command helps before the file is mended as the errors say"
 PAGE = "navgym.tuning.report.inspection:write"  # needs matplotlib and jinja2
 NAMED = 10  # columns of the line's name
 
@@ -55,7 +56,7 @@ def main(words: Sequence[str]) -> int:
         print(f"{'json'.ljust(NAMED)} {asked.json}")
     if asked.page is not None:
         print(f"{'page'.ljust(NAMED)} {load(PAGE)(asked.page, found)}")
-    print(f"{'next'.ljust(NAMED)} {found.next}")
+    print(f"{'next'.ljust(NAMED)} {found.next or NO_COMMAND}")
     return found.status
 
 

@@ -34,6 +34,7 @@ reader that is not there is answered with those that are.
 
 # by role of a device's channel, quantities whose column shows which one counts
 CHOSEN = {"position": ("lat", "px"), "velocity": ("vx",)}
+LONGER = 1.05  # usual steps: less is rounding of stamps
 NAMED = 9  # columns of the line's name
 
 
@@ -124,8 +125,11 @@ def told(recording: Any, problem: Problem) -> list[tuple[str, str]]:
     if len(time) > 1:
         steps = np.diff(time)
         k = int(steps.argmax())
-        longest = f"the longest {steps[k]:.4g} s, after {time[k]:.10g} s"
-        lines.append(("step", f"{np.median(steps):.4g} s (median), {longest}"))
+        usual = float(np.median(steps))
+        longest = f", the longest {steps[k]:.4g} s, after {time[k]:.10g} s" * bool(
+            steps[k] > LONGER * usual
+        )
+        lines.append(("step", f"{usual:.4g} s (median){longest}"))
     if problem.told is not None:
         lines += problem.told(recording)
     return lines + [("reading", str(line)) for line in meta.get("reading", ())]

@@ -13,7 +13,7 @@ from navgym.auv.fields import GEOGRAPHIC, SENSORS, Field, means
 from navgym.auv.geodesy import LIMITS, degrees_of, degrees_of_nmea, signed, to_plane
 from navgym.auv.rows import sentinel
 from navgym.core.checks import Array, one_of
-from navgym.core.clocks import Times, read_times
+from navgym.core.clocks import Times, date_of, read_times
 from navgym.core.layout import LOST
 from navgym.core.notes import Notes
 from navgym.core.repeats import is_held, quantum, repeats
@@ -72,7 +72,10 @@ class Columns:
         if found.nights:
             self.notes.say(f"the clock passed midnight {found.nights} times: days added")
         if found.start is not None:
-            self.notes.say(f"times are s since the first row's, {found.start}")
+            date = date_of(found.start, found.scale) if found.kind == "number" else None
+            self.notes.say(
+                f"times are s since the first row's, {found.start}{f' ({date})' if date else ''}"
+            )
         return found
 
     def _dated(self) -> tuple[Table, Field | None]:
@@ -172,6 +175,11 @@ class Columns:
     def _quantum(self, quantity: str) -> float:
         return float(10.0 ** -min(self.decimals(quantity), 300))
 
+    def digit(self, quantity: str) -> float:
+        """The step of which all values of a column are multiples, in s, m, m/s or rad; 0 for none."""
+        own = max(self._quantum(quantity), quantum(self.raw(quantity)))
+        return own * self._scale(quantity)
+
     def refuse_degrees(self, positions: Array) -> None:
         """ValueError where px and py, (T, 2), named in metres by nobody, must be degrees."""
         fields = [self.fields[name] for name in ("px", "py")]
@@ -199,7 +207,7 @@ class Columns:
     ) -> tuple[Array, tuple[float, float, float]]:
         """Metres north, east and down, (T, 3), and the origin: latitude, longitude, height."""
         degrees = self.sensor(GEOGRAPHIC, held) / DEGREE
-        degrees[(degrees == 0.0).all(axis=1)] = np.nan  # what a receiver writes without a fix
+        self._drop_zeros(degrees)
         self._check_degrees(degrees)
         there = np.flatnonzero(~np.isnan(degrees).any(axis=1))
         if not len(there):
@@ -218,6 +226,21 @@ class Columns:
             self.notes.doubt("the positions are up to more than 100 km from the origin, where a "
                              "plane is not the Earth: pass origin= nearer")  # fmt: skip
         return found, origin
+
+    def _drop_zeros(self, degrees: Array) -> None:
+        """(0, 0) is what a receiver writes without a fix: lost, a doubt where it had one before."""
+        nowhere = (degrees == 0.0).all(axis=1)
+        later = nowhere & np.maximum.accumulate(~nowhere & ~np.isnan(degrees).any(axis=1))
+        degrees[nowhere] = np.nan
+        if nowhere.sum() > later.sum():
+            self.notes.say(
+                f"{nowhere.sum() - later.sum()} rows before the first fix hold (0, 0): lost"
+            )
+        if later.any():
+            lat, lon = (self.fields[name].column for name in GEOGRAPHIC)
+            self.notes.doubt(
+                f"{lat!r} and {lon!r}: {later.sum()} fixes at (0, 0) are taken for lost ones"
+            )
 
     def truth_plane(self, origin: tuple[float, float, float]) -> Array:
         """True metres north and east from truth_lat and truth_lon, (T, 2)."""

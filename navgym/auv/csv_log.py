@@ -13,7 +13,7 @@ from navgym.auv.columns import HELD
 from navgym.auv.fields import ANNOTATIONS
 from navgym.auv.geodesy import checked_origin, from_plane
 from navgym.auv.log import STATES, Log, component_names
-from navgym.auv.rows import merged, order
+from navgym.auv.rows import clock_set, merged, order
 from navgym.core.checks import Array, one_of, real_array, within
 from navgym.core.notes import Notes, Progress
 from navgym.core.tables import Table, read_table, write_table
@@ -168,8 +168,9 @@ def recording_of(
     progress.at(0.6)
     time, start = log.times(time_scale, y)
     rows = log.rows(time, y, accuracy_floor, plane)
-    rows = log.delayed(rows.take(order(rows.time, rows.lines, sort, notes)), latency or {})
-    rows = merged(rows, notes)
+    clock = clock_set(rows)
+    rows = log.delayed(rows.take(order(rows, sort, notes)), latency or {})
+    rows = merged(rows, notes, clock)
     progress.at(0.9)
     if model is None:
         sigmas = np.array([position_noise, velocity_noise] * 2)

@@ -18,7 +18,7 @@ from navgym.formats.channels import ESTIMATE, Channel, Channels
 from navgym.formats.choose import check_roles, chosen
 from navgym.formats.frames import attitude_at, world_velocity
 from navgym.formats.kinds import read_channels
-from navgym.formats.rows import TIME, rows_of
+from navgym.formats.rows import TIME, begun, rows_of
 from navgym.statespace.recording import Model, Recording
 
 ROLES = ("position", "velocity", "attitude")
@@ -91,7 +91,7 @@ def read_log(
             sort=sort, held=held, origin=origin, lever_arm=lever_arm, latency=latency,
             accuracy_floor=accuracy_floor, position_noise=position_noise,
             velocity_noise=velocity_noise, acceleration=acceleration,
-            meta={"format": "log", "kind": told.kind},
+            meta={"format": "log", "kind": told.kind} | begun(told.table.cells[TIME][0]),
         )  # fmt: skip
 
 

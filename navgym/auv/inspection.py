@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navgym.auv.device_log import Told
-from navgym.auv.fields import SENSORS
+from navgym.auv.fields import GEOGRAPHIC, SENSORS
+from navgym.auv.geodesy import to_plane
 from navgym.auv.log import STATES_3D, Log, component_names
 from navgym.core.checks import Array
 from navgym.core.notes import Notes
@@ -31,7 +32,16 @@ MISLED = (
     4.0,
     100.0,
 )  # times: scatter over the receiver's own accuracy, and the accuracy over the scatter
-DISAGREEING = ("frame", "axes", "units", "scale", "sign", "rotation")  # that make noise of no noise
+DISAGREEING = (
+    "degrees",
+    "frame",
+    "axes",
+    "units",
+    "scale",
+    "sign",
+    "rotation",
+)  # that make noise of no noise
+FINE_DEGREE = 1e-3  # °: over so little a plane is the Earth
 DIGITS = 3  # of a suggested number
 
 
@@ -47,6 +57,7 @@ class _Raw:
         own: (T,) rows of each sensor, where each has rows of its own; else empty.
         names: of the velocities' columns.
         turned: whether the velocity is of a sensor in the vehicle's axes, turned by the heading.
+        digits: steps of which positions that came in degrees are multiples in the file, m.
     """
 
     time: Array
@@ -56,6 +67,7 @@ class _Raw:
     own: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
     names: tuple[str, str] = ("vx", "vy")
     turned: bool = False
+    digits: Mapping[str, float] = field(default_factory=dict)
 
 
 def evidence(recording: Recording, log: Path, options: Mapping[str, Any]) -> Evidence:
@@ -65,11 +77,13 @@ def evidence(recording: Recording, log: Path, options: Mapping[str, Any]) -> Evi
     raw = _raw(recording, log, options)
     channels = _channels(recording, names, raw)
     both = _motion(recording, names)
-    findings = [*_of_times(recording, raw, both)]
+    findings = [*_of_times(recording, raw, both, channels)]
     if both is not None:
         findings += _of_motion(both, raw, recording.meta.get("columns", {}))
     if raw is not None and not any(f.kind in DISAGREEING for f in findings):
         findings += _accuracy(recording, names, raw, both)
+    if any(f.kind in DISAGREEING for f in findings):  # noise of wrong velocities is none
+        known, both = [n for n in known if _KIND[n] != "velocity"], None
     lines, words = _noise(recording, known, both, raw)
     track = _track(recording, names)
     return Evidence(channels, findings, lines, words, track)
@@ -101,7 +115,21 @@ def _of_text(recording: Recording, log: Path, options: Mapping[str, Any]) -> _Ra
     heading = None
     if "heading" in held.fields:
         heading = time[index], held.columns.numbers("heading")[index]
-    return _Raw(time[index], columns, held.columns.sigmas(held.measured, 0.0)[index], heading)
+    sigma = held.columns.sigmas(held.measured, 0.0)[index]
+    return _Raw(time[index], columns, sigma, heading, digits=_digits(held, recording))
+
+
+def _digits(held: Log, recording: Recording) -> dict[str, float]:
+    """Steps of positions in the file, m, where they came in degrees: metres show them no more."""
+    origin = recording.meta.get("origin")
+    if not held.round or origin is None:
+        return {}
+    north, east = to_plane(
+        np.array([origin[0] + FINE_DEGREE]), np.array([origin[1] + FINE_DEGREE]), origin, None
+    )[0, :2]
+    size = np.array([north, east]) / math.radians(FINE_DEGREE)  # m in a radian
+    steps = (held.columns.digit(name) for name in GEOGRAPHIC)
+    return {n: s * k for n, s, k in zip(("px", "py"), steps, size.tolist(), strict=True)}
 
 
 def _of_device(recording: Recording, log: Path, options: Mapping[str, Any]) -> _Raw:
@@ -133,7 +161,8 @@ def _of_device(recording: Recording, log: Path, options: Mapping[str, Any]) -> _
     names = ("vx", "vy")
     if velocity is not None and told.turned:
         names = (f"{velocity.name}.u", f"{velocity.name}.v")
-    return _Raw(time[index], columns, sigma, heading, own, names, told.turned)
+    digits = _digits(held, recording)
+    return _Raw(time[index], columns, sigma, heading, own, names, told.turned, digits)
 
 
 def _time_scale(held: Log, recording: Recording) -> float | None:
@@ -147,16 +176,23 @@ def _time_scale(held: Log, recording: Recording) -> float | None:
     return near[0] if near and found.kind == "number" and not found.guessed else None
 
 
-def _of_times(recording: Recording, raw: _Raw | None, both: Motion | None) -> Iterator[Finding]:
-    """Gaps and rates: of all rows, and of each sensor where it has rows of its own."""
+def _of_times(
+    recording: Recording, raw: _Raw | None, both: Motion | None, channels: list[Channel]
+) -> Iterator[Finding]:
+    """Gaps and rates: of all rows, and of each sensor, of its own rows and of those with a value."""
     yield from timing.gaps(recording.time, "", both)
+    known = timing.long_steps(recording.time)
     if raw is None or not raw.own:
         yield from timing.rate(recording.time)
-        return
-    whole = timing.long_steps(recording.time)
-    for sensor, mine in raw.own.items():
-        yield from timing.gaps(raw.time[mine], sensor, both, whole)
-        yield from timing.rate(raw.time[mine], sensor)
+    else:
+        for sensor, mine in raw.own.items():
+            yield from timing.gaps(raw.time[mine], sensor, both, known)
+            yield from timing.rate(raw.time[mine], sensor)
+        known += [s for mine in raw.own.values() for s in timing.long_steps(raw.time[mine])]
+    for sensor in dict.fromkeys(c.sensor for c in channels):
+        group = [c for c in channels if c.sensor == sensor]
+        there = np.all([c.received for c in group], axis=0)
+        yield from timing.outage(group[0].time[there], sensor, known)
 
 
 _KIND = {n: sensor for sensor, names in SENSORS.items() for n in names}
@@ -175,7 +211,9 @@ def _channels(recording: Recording, names: list[str], raw: _Raw | None) -> list[
         time, values = _series(recording, j, name, kind, raw, bool(mended))
         values = np.where(_sentinels(values), np.nan, values)
         sensor = kind if kind != "other" else name
-        found.append(Channel(name, sensor, kind, _UNIT.get(kind, ""), time, values, mended))
+        digit = 0.0 if raw is None else raw.digits.get(name, 0.0)
+        unit = _UNIT.get(kind, "")
+        found.append(Channel(name, sensor, kind, unit, time, values, mended, digit))
     if raw is not None and raw.heading is not None:
         time, heading = raw.heading
         found.append(Channel("heading", "heading", "angle", "rad", time, heading))
@@ -290,7 +328,9 @@ def _noise(
                 found.setdefault("acceleration", []).append(each[1])
         else:
             scatter = _scatter(recording, j, name, both)
-            if scatter:
+            digit = 0.0 if raw is None else raw.digits.get(name, 0.0)
+            if scatter:  # no value is better than its digits
+                scatter = max(scatter, digit / math.sqrt(12.0))
                 found.setdefault("position_noise", []).append(scatter)
     # the largest of the axes: a filter that believes too little noise is worse than one that believes too much
     best = {n: max(v) for n, v in found.items() if max(v) > 0.0 and math.isfinite(max(v))}

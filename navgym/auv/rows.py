@@ -14,6 +14,9 @@ from navgym.core.notes import Notes
 Flags = NDArray[np.bool_]
 
 FEW = 5  # late rows one after the other: from here a clock was set back, below a row came late
+JUMP = 3.0  # nine-tenths quantiles of a column's steps: from here it does not go on
+MANY = 20  # steps that make one of them usual
+EVEN = 0.2  # share of the usual step by which those about a clock that was set may miss it
 COARSE = 1.5, 20  # rows per time, and conflicts: from here stamps are too coarse
 SHORTEST = 1e-12  # s between rows: less is rounding, or a wrong unit
 LONGEST_GAP = 30 * 86_400.0  # s: no voyage pauses longer, so the clock was set
@@ -54,38 +57,108 @@ class Rows:
         )  # fmt: skip
 
 
-def order(
-    time: Array, lines: NDArray[np.int64], sort: bool | None, notes: Notes
-) -> NDArray[np.int64]:
+def order(rows: Rows, sort: bool | None, notes: Notes) -> NDArray[np.int64]:
     """Index that sorts rows by time, those of one time as they stand in the file.
 
     Args:
-        time: (T,) s, as in the file.
-        lines: (T,) of the file.
+        rows: as in the file.
         sort: see `navgym.auv.csv_log.read_csv`.
         notes: told of what was sorted.
 
     Raises ValueError, naming the line, where a clock was set, unless `sort` is True.
     """
+    time, lines = rows.time, rows.lines
     steps = np.diff(time)
     falls = np.flatnonzero(steps < 0.0)
     index = np.argsort(time, kind="stable")
     if len(falls) and sort is not True:
-        k = int(falls[np.argmin(steps[falls])]) + 1
-        back = f"the time goes back by {-steps[k - 1]:.6g} s"
-        late = int((time < np.maximum.accumulate(time)).sum())
-        if sort is False or (late >= FEW and late >= 3 * len(falls)):
+        k = set_back(rows)
+        if sort is False or k is not None:
+            k = int(falls[np.argmin(steps[falls])]) + 1 if k is None else k
+            remedy = "cut the file there, or pass sort=True, which sorts all rows by their times."
+            if sort is None and _moves_on(rows.y, k):
+                remedy = "the values go on over it: cut the file there, or mend the later times."
             raise ValueError(
-                f"{notes.file}, line {lines[k]}, column 'time': {back}, as where a clock is set or "
-                "another voyage begins: cut the file there, or pass sort=True, which sorts all rows "
-                "by their times."
+                f"{notes.file}, line {lines[k]}, column 'time': {_fall(time, k)}, as where a clock is "
+                f"set or another voyage begins: {remedy}"
             )
     if len(falls):
         worst = -float(steps[falls].min())
-        rows = f"rows sorted by time ({len(falls)} times one came late, by up to {worst:.6g} s)"
-        (notes.doubt if worst > 60.0 else notes.say)(rows)
+        told = f"rows sorted by time ({len(falls)} times one came late, by up to {worst:.6g} s)"
+        (notes.doubt if worst > 60.0 else notes.say)(told)
     _check_gaps(time[index], lines[index], sort, notes)
     return index
+
+
+def _fall(time: Array, k: int) -> str:
+    top = float(time[:k].max())
+    return f"the time goes back by {top - time[k]:.6g} s, from {top:.6g} s to {time[k]:.6g} s"
+
+
+def _moves_on(y: Array, k: int) -> bool:
+    """Whether each column of y, (T, m), goes on from row k - 1 to row k as between other rows."""
+    for column in y.T:
+        before, after = (part[~np.isnan(part)] for part in (column[:k], column[k:]))
+        if len(before) < FEW or len(after) < FEW:
+            return False
+        steps = np.abs(np.concatenate([np.diff(before), np.diff(after)]))
+        if abs(after[0] - before[-1]) > JUMP * float(np.quantile(steps, 0.9)):
+            return False
+    return True
+
+
+def clock_set(rows: Rows) -> str:
+    """Line and fall where a clock was set back, in words; "" where none was."""
+    k = set_back(rows)
+    return "" if k is None else f"line {rows.lines[k]}, column 'time': {_fall(rows.time, k)}"
+
+
+def set_back(rows: Rows) -> int | None:
+    """The row from which on times are those of a clock that was set back; None where rows came late."""
+    steps = np.diff(rows.time)
+    falls = np.flatnonzero(steps < 0.0)
+    if not len(falls):
+        return None
+    late = int((rows.time < np.maximum.accumulate(rows.time)).sum())
+    if late >= FEW and late >= 3 * len(falls):
+        return int(falls[np.argmin(steps[falls])]) + 1
+    found = (each[k] for each in _by_sensor(rows) for k in _short_falls(rows.take(each)))
+    return next((int(k) for k in found), None)
+
+
+def _by_sensor(rows: Rows) -> list[NDArray[np.intp]]:
+    """All rows, and where those of several sensors stand between each other, each one's."""
+    kinds, of = np.unique(~np.isnan(rows.y), axis=0, return_inverse=True)
+    mine = [np.flatnonzero(of.ravel() == j) for j, there in enumerate(kinds) if there.any()]
+    return [np.arange(len(rows)), *(mine if len(mine) > 1 else [])]
+
+
+def _short_falls(rows: Rows) -> list[int]:
+    """Rows before which a clock was set back by a few steps."""
+    steps = np.diff(rows.time)
+    falls = np.flatnonzero(steps < 0.0) + 1
+    if not len(falls) or len(falls) > FEW or len(steps) < MANY:
+        return []
+    usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+    return [int(k) for k in falls if _runs_on(rows, int(k), usual)]
+
+
+def _runs_on(rows: Rows, k: int, usual: float) -> bool:
+    """Whether after the fall before row k times run on past the old ones without a missing row.
+
+    A row that came late is missing where it belongs. Rows that were written twice repeat values.
+    """
+    time, old = rows.time, rows.time[k - 1]
+    first = int(np.searchsorted(time[:k], time[k]))  # where the rows from k on would belong
+    beyond = k + int(np.searchsorted(time[k:], old, side="right"))
+    if old - time[k] < 0.5 * usual or first < 1 or beyond >= len(time):
+        return False
+    around = np.concatenate([np.diff(time[first - 1 : k]), np.diff(time[k : beyond + 1])])
+    if (np.abs(around - usual) > EVEN * usual).any():
+        return False
+    _, here, there = np.intersect1d(time[k:beyond], time[first:k], return_indices=True)
+    again = (rows.y[k:beyond][here] == rows.y[first:k][there]).any(axis=1)
+    return not (len(again) and again.all())
 
 
 def _check_gaps(time: Array, lines: NDArray[np.int64], sort: bool | None, notes: Notes) -> None:
@@ -164,8 +237,13 @@ def delayed(rows: Rows, late: Array) -> Rows:
     return replace(joined, truth=np.stack(truth, axis=-1))
 
 
-def merged(rows: Rows, notes: Notes) -> Rows:
+def merged(rows: Rows, notes: Notes, clock: str = "") -> Rows:
     """One row for each time: what its rows hold together; where they differ, the mean.
+
+    Args:
+        rows: in the order of their times.
+        notes: told of what was merged.
+        clock: where a clock was set back, in words, "" where none was.
 
     Raises ValueError, naming lines, where truths differ, or so many values that stamps are coarse.
     """
@@ -184,19 +262,24 @@ def merged(rows: Rows, notes: Notes) -> Rows:
                 f"{notes.file}, line {line}: another truth at the time of a row before."
             )
     clash = np.asarray(differ.any(axis=1))
-    _tell(rows, first, counts, np.asarray(several.any(axis=1)), clash, notes)
+    _tell(rows, first, counts, np.asarray(several.any(axis=1)), clash, notes, clock)
     return replace(rows.take(first), y=y, sigma=sigma)
 
 
 def _tell(
     rows: Rows, first: NDArray[np.int64], counts: NDArray[np.int64], several: Flags, clash: Flags,
-    notes: Notes,
+    notes: Notes, clock: str,
 ) -> None:  # fmt: skip
     shared = counts > 1
     if clash.any():
         k = int(np.argmax(clash))
         where = f"lines {rows.lines[first[k]]} and {rows.lines[first[k] + counts[k] - 1]}"
         if len(rows) > COARSE[0] * len(first) and clash.sum() > COARSE[1]:
+            if clock:
+                raise ValueError(
+                    f"{notes.file}, {clock}: a clock was set there, and sorting mixes {clash.sum()} "
+                    "moments of before with others of after: cut the file there."
+                )
             raise ValueError(
                 f"{notes.file}, {where}: {clash.sum()} times stand in several rows with different "
                 "values: name a column with finer times as columns={'time': ...}."

@@ -10,6 +10,7 @@ import datetime as dt
 import math
 import re
 from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +79,16 @@ def read_times(table: Table, column: str, scale: float | None = None, remedy: st
         start = f"{np.datetime64(int(stamps[0]), 'ns')}Z"
         return Times((stamps - stamps[0]) / 1e9, start, "date")
     return _numbers(table, column, scale)
+
+
+def date_of(number: str, scale: float) -> str | None:
+    """ISO 8601, UTC, of a number of units of `scale` s since 1970; None where it is no such number."""
+    try:
+        stamp = int(Decimal(number) * Decimal(repr(scale)) * 10**9)
+    except (InvalidOperation, ValueError, OverflowError):
+        return None
+    dated = EPOCH[0] * 1e9 < stamp < EPOCH[1] * 1e9
+    return f"{np.datetime64(stamp, 'ns')}Z" if dated else None
 
 
 def _numbers(table: Table, column: str, scale: float | None) -> Times:

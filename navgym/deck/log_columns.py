@@ -11,7 +11,7 @@ import numpy as np
 
 from navgym.core import units as U
 from navgym.core.checks import Array, one_of
-from navgym.core.clocks import Times, read_times
+from navgym.core.clocks import Times, date_of, read_times
 from navgym.core.layout import LOST
 from navgym.core.notes import Notes
 from navgym.core.tables import Table
@@ -184,7 +184,10 @@ class Columns:
         if found.nights:
             self.notes.say(f"the clock passed midnight {found.nights} times: days added")
         if found.start is not None:
-            self.notes.say(f"times are s since the first row's, {found.start}")
+            date = date_of(found.start, found.scale) if found.kind == "number" else None
+            self.notes.say(
+                f"times are s since the first row's, {found.start}{f' ({date})' if date else ''}"
+            )
         return found
 
     def fix(self) -> dict[str, float]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navgym.core.checks import Array
+from navgym.core.clocks import date_of
 from navgym.core.tables import Cells, Table
 from navgym.formats.channels import KINDS, SECOND, Channel
 
@@ -48,6 +49,16 @@ def _index(channels: Sequence[Channel]) -> NDArray[np.intp]:
     """Which row of the channels, one after the other, each row of their table is."""
     highest = np.concatenate([np.maximum.accumulate(c.time) for c in channels])
     return np.argsort(highest, kind="stable")
+
+
+def begun(stamp: int | str) -> dict[str, str]:
+    """What a recording keeps of the time from which its own count: a date, where the clock tells one.
+
+    Args:
+        stamp: ns, of the first row.
+    """
+    date = date_of(str(stamp), 1.0 / SECOND)
+    return {} if date is None else {"start": date}
 
 
 def owners(channels: Sequence[Channel]) -> NDArray[np.intp]:

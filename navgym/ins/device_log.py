@@ -13,7 +13,7 @@ from navgym.core.notes import Notes
 from navgym.formats.channels import SENSOR, Channel, Channels
 from navgym.formats.choose import check_roles, chosen
 from navgym.formats.kinds import read_channels
-from navgym.formats.rows import alone, ordered
+from navgym.formats.rows import alone, begun, ordered
 from navgym.ins.csv_set import ACCELEROMETERS, COLUMNS, GYROS, recording_of
 from navgym.ins.model import InsModel
 from navgym.ins.recording import InertialRecording
@@ -86,7 +86,9 @@ def read_ins_log(
     return recording_of(
         tables, notes, model=model, sensors=believed, time_offsets=time_offsets, turn=turn,
         silent_after=silent_after, check_units=check_units,
-        meta={"format": "ins_log", "kind": channels.format, "file": channels.path.name},
+        meta={
+            "format": "ins_log", "kind": channels.format, "file": channels.path.name, **begun(start),
+        },
     )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from navgym.inspection.findings import Channel, Evidence, Finding
 
 XYZ = ("x", "y", "z")
 OFF = 0.03  # share of gravity by which the usual specific force may miss it
+IN_G = 0.1  # share by which the usual force of accelerometers in g may miss 1
 FASTER, FEWEST = 1.25, 8  # fixes against the Doppler log's speed; stretches between fixes
 _KIND = {
     "dvl": ("velocity", ("vx", "vy", "vz")), "water": ("velocity", ("vx", "vy", "vz")),
@@ -33,7 +34,8 @@ def evidence(recording: InertialRecording, log: Path, options: Mapping[str, Any]
     channels = [*_imu(r), *_aiding(r)]
     findings = [*_gravity(r), *_speeds(r)]
     for name, sensor in r.aiding.items():
-        findings += timing.gaps(sensor.time[~sensor.lost], name) if not sensor.lost.any() else []
+        findings += timing.gaps(sensor.time, name)
+        findings += timing.outage(sensor.time[~sensor.lost], name, timing.long_steps(sensor.time))
         findings += timing.rate(sensor.time, name)
     lines, words = _noise(r)
     fixes = [a.values for n, a in r.aiding.items() if r.model.sensors[n].kind == "fix"]
@@ -60,7 +62,13 @@ def _aiding(r: InertialRecording) -> Iterator[Channel]:
 
 def _gravity(r: InertialRecording) -> Iterator[Finding]:
     size = float(np.nanmedian(np.linalg.norm(r.velocity / r.interval, axis=1)))
-    if abs(size / GRAVITY - 1.0) > OFF:
+    unit = next((u for u, one in (("g", 1.0), ("mg", 1e3)) if abs(size / one - 1.0) < IN_G), None)
+    if unit is not None:
+        yield Finding(
+            "gravity", "imu", f"the usual specific force is {size:.4g}: the accelerometers are in {unit}, not m/s²",
+            f"multiply them by {GRAVITY if unit == 'g' else GRAVITY / 1e3:.6g}",
+        )  # fmt: skip
+    elif abs(size / GRAVITY - 1.0) > OFF:
         yield Finding(
             "gravity", "imu",
             f"the usual specific force is {size:.4g} m/s², {size / GRAVITY - 1.0:+.1%} from gravity",

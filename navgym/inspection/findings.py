@@ -112,6 +112,7 @@ class Channel:
         time: (T,) s, in order; equal times may stand side by side.
         values: (T,) NaN where nothing was received.
         mended: names of kinds that the reader has dealt with already.
+        digit: step between the values as they stand in the file, in `unit`; 0 where the values show it.
     """
 
     name: str
@@ -121,6 +122,7 @@ class Channel:
     time: Array
     values: Array
     mended: frozenset[str] = frozenset()
+    digit: float = 0.0
 
     @property
     def received(self) -> NDArray[np.bool_]:
@@ -231,7 +233,7 @@ class Inspection:
         losses: by sensor.
         noise: what the log suggests, lines of a name and a text.
         model: words for --read with the model that the log suggests.
-        next: the command to run now.
+        next: the command to run now, "" where none helps before the file is mended.
         command: the one that was run, "" for none.
         track: (north, east), m, or None.
         recording: what the reader made of it, or None.
@@ -271,7 +273,7 @@ class Inspection:
         """All but the series and the recording, for JSON."""
         return {
             "log": self.log, "format": self.format, "problem": self.problem, "status": self.status,
-            "told": dict(self.told),
+            "told": [list(line) for line in self.told],  # of a name there may be several
             "findings": [f.as_dict() for f in self.findings],
             "channels": [c.as_dict() for c in self.channels],
             "losses": [{n: float(v) if isinstance(v, float) else v for n, v in vars(each).items()} for each in self.losses],

@@ -19,7 +19,8 @@ from navgym.inspection.findings import (
     Inspection,
     Losses,
 )
-from navgym.inspection.reading import Read, as_finding, read
+from navgym.inspection.mending import in_all, mended, pairs, told
+from navgym.inspection.reading import CLOCK, Read, as_finding, read
 from navgym.inspection.timing import losses
 from navgym.problem import Problem
 from navgym.readers import ReaderOptions, reader_of
@@ -27,6 +28,7 @@ from navgym.readers import ReaderOptions, reader_of
 Line = tuple[str, str]
 
 AIDED = "log", "ins_log"  # formats of devices' logs: positions and velocities, or an IMU as well
+IMU_SET, IMU_FILE = "ins_csv", "imu.csv"  # a folder, and what must be in it
 NO_IMU = "format 'log'"  # what an error says where there is none
 IMU = "'ins_log'"  # what an error says where there is an IMU and nothing else
 MENDABLE = 8  # findings whose options are put into the next command
@@ -54,7 +56,8 @@ def of(log: Path, reading: ReaderOptions) -> Inspection:
 
 
 def _looked_over(log: Path, reading: ReaderOptions) -> Inspection:
-    from navgym.read_command import following, told
+    from navgym.read_command import following
+    from navgym.read_command import told as lines_of
 
     done = read(log, reading)
     name = reading.format_of(log)
@@ -67,12 +70,15 @@ def _looked_over(log: Path, reading: ReaderOptions) -> Inspection:
         )  # fmt: skip
     problem = done.reading.problem(log)
     evidence = _evidence(problem, log, done)
-    lines = told(done.recording, problem)
+    lines = lines_of(done.recording, problem)
     doubts = [as_finding(text) for name, text in lines if name == "doubt"]
     lines = [*lines[:1], *held, *((name, text) for name, text in lines[1:] if name != "doubt")]
     said = [*done.findings, *(f for f in doubts if f is not None)]
-    findings = _sorted([*said, *evidence.findings, *_of_channels(evidence.channels)])
-    next_command = _next(log, done, findings, evidence, following, problem)
+    found = [*said, *evidence.findings, *_of_channels(evidence.channels)]
+    options, repaired = done.reading.options(name), found[: int(done.repaired)]
+    more = [in_all(f, options) for f in found[len(repaired) :]]  # a repair is among the options
+    findings = _sorted([*repaired, *more])
+    next_command = _next(log, reading, done, findings, evidence, following, problem)
     return Inspection(
         str(log), name, problem.title, tuple(lines), findings, tuple(evidence.channels),
         _losses(evidence.channels), tuple(evidence.noise), evidence.words, next_command, command,
@@ -132,14 +138,23 @@ def _losses(channels: Sequence[Channel]) -> tuple[Losses, ...]:
 def _refused(
     log: Path, reading: ReaderOptions, name: str, held: Sequence[Line], findings: Sequence[Finding]
 ) -> str:
-    """Where a file cannot be read: in a text file, say what columns hold; of an IMU alone, another format."""
+    """Where a file cannot be read: in a text file, say what columns hold; of an IMU alone, another format.
+
+    "" where no command would help: whoever cuts the file, or converts it, goes on from there.
+    """
     words = ["navgym", "read", str(log), *_told(reading)]
+    if any(f.kind == CLOCK for f in findings):
+        return ""
+    if name == IMU_SET and log.is_file():
+        return shlex.join(["navgym", "inspect", str(log.parent)]) if log.name == IMU_FILE else ""
     if log.is_file() and "delimiter" in options_of(reader_of(name)):
         words += ["--write-mapping", "mapping.toml"]
     elif name == AIDED[0] and held and any(IMU in f.said for f in findings):
         words = ["navgym", "inspect", str(log), "--format", AIDED[1]]
     elif held and any(NO_IMU in f.said for f in findings):
         words = ["navgym", "inspect", str(log)]
+    else:
+        return ""
     return shlex.join(words)
 
 
@@ -163,18 +178,18 @@ def _told(reading: ReaderOptions) -> list[str]:
     return words + (["--read", *reading.words] if reading.words else [])
 
 
-def _next(log, done, findings, evidence, following, problem) -> str:  # type: ignore[no-untyped-def]
+def _next(log, reading, done, findings, evidence, following, problem) -> str:  # type: ignore[no-untyped-def]
     """Mend what options can mend and look again; else tune, with the noise that the log suggests."""
-    mending = [f.options for f in findings if f.options][:MENDABLE]
-    words = list(done.reading.words)
-    for options in mending:
-        named = words[::2] if not words or not words[0].endswith(".toml") else words[1::2]
-        if options[0] not in named:
-            words += options
-    if mending:
-        told = ReaderOptions(tuple(words), done.reading.format)
-        return shlex.join(["navgym", "inspect", str(log), *_told(told)])
-    own = [w for pair in zip(evidence.words[::2], evidence.words[1::2], strict=True) if pair[0] not in words for w in pair]  # fmt: skip
-    told = ReaderOptions((*words, *own), done.reading.format)
-    command: str = following(told, log, done.recording, problem)
+    if done.repaired and not done.findings[0].options:
+        return ""
+    name = done.reading.format_of(log)
+    options = done.reading.options(name)
+    mending = [f for f in findings if f.options][:MENDABLE]
+    words = mended(done.reading.words, mending, options, options_of(reader_of(name)))
+    if words != list(reading.words):  # the same command again would find the same
+        told_all = ReaderOptions(tuple(words), done.reading.format)
+        return shlex.join(["navgym", "inspect", str(log), *_told(told_all)])
+    own = [w for n, value in pairs(evidence.words) if told(options, n) is None for w in (n, value)]
+    told_all = ReaderOptions((*words, *own), done.reading.format)
+    command: str = following(told_all, log, done.recording, problem)
     return command

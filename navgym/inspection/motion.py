@@ -213,11 +213,20 @@ def _arrangement(motion: Motion, at: NDArray[np.intp]) -> Iterator[Finding]:
     if S[0, 1] == 0.0:
         wrong = [name for name, sign in zip((north, east), np.diag(S), strict=True) if sign < 0.0]
         what = " and ".join(wrong)
-        yield Finding(
-            "sign", what, f"the other way round, {what} {better}", f"turn the sign of {what}"
-        )
+        remedy = f"turn the sign of {what}"
+        if motion.geographic:
+            of = {north: "latitude", east: "longitude"}
+            better += f", and so do{'es' * (len(wrong) == 1)} the sign of {' and '.join(of[n] for n in wrong)}"
+            remedy += ", or of these degrees: a look at a map tells which is wrong"
+        yield Finding("sign", what, f"the other way round, {what} {better}", remedy)
         return
     signs = "" if (S >= 0.0).all() else ", one or both with the other sign,"
+    if motion.geographic:
+        yield Finding(
+            "axes", f"{north} and {east}", f"exchanged{signs} {better}, or latitude and longitude are",
+            f"exchange {north} and {east}, or the degrees: a look at a map tells which is wrong",
+        )  # fmt: skip
+        return
     plain = not signs and (north, east) == SPEEDS  # no column of the file if they were turned
     options = tuple(w for a, b in zip(SPEEDS, SPEEDS[::-1], strict=True) for w in (f"columns.{a}", b)) if plain else ()  # fmt: skip
     yield Finding("axes", f"{north} and {east}", f"exchanged{signs} {better}",
@@ -249,6 +258,11 @@ def _scale(motion: Motion, at: NDArray[np.intp]) -> Iterator[Finding]:
     said = (
         f"positions move {factor:.4g} times as far as the velocities say ({low:.4g} to {high:.4g})"
     )
+    radian = math.radians(1.0)
+    if motion.geographic and low - margin < radian < high + margin:
+        yield Finding("degrees", "lat and lon", f"{said}: they are in radians and were read as degrees",
+                      "say that they are in radians", ("units.lat", "rad", "units.lon", "rad"))  # fmt: skip
+        return
     near = {u: f for u, f in FACTORS.items() if low - margin < f < high + margin}
     lengths = {} if motion.geographic else LENGTHS
     far = {u: 1.0 / f for u, f in lengths.items() if low - margin < 1.0 / f < high + margin}

@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from navgym.inspection.findings import Finding
+from navgym.inspection.mending import named
 from navgym.readers import ReaderOptions
 
 # what readers say, and the kind of finding that it is; the first that fits counts
@@ -46,16 +47,20 @@ _REFUSED = (
     (r"must be a number|must be a date|must be a clock|got '", "text"),
     (r"even steps|increase strictly|rows? .*after|gap", "uneven"),
 )  # fmt: skip
+CLOCK = "clock set"
 _SILENT = re.compile(
     r"nothing shows it|no magnetometer"
 )  # said of sound logs too: a fact, no fault
+# an IMU whose z points up, forward left alone
+Z_UP = tuple(w for a in ("gyro", "acc") for x in "yz" for w in (f"turn.{a}_{x}", f"-{a}_{x}"))
 # by kind of an error, options that let a log be read in spite of it; the first that works is taken
 _REPAIRS: dict[str, tuple[tuple[str, ...], ...]] = {
     "clock set": (("sort", "true"), ("regular", "true")),
     "uneven": (("regular", "true"),),
     "units": (("check_units", "false"),),
-    "axes": (("check_units", "false"),),
+    "axes": (Z_UP, ("check_units", "false")),
 }
+HIDING = "check_units"  # shows what is there, and mends nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,11 +83,17 @@ class Read:
 def read(log: Path, reading: ReaderOptions) -> Read:
     """Read a log, if need be with options that its reader asks for.
 
+    What options only hide, such as units that cannot be, is a finding without any.
+
     Raises FileNotFoundError where there is no such file, and ValueError for options that cannot be.
     """
     reading.options(reading.format_of(log))
     try:
         return Read(*_tried(log, reading), reading)
+    except FileNotFoundError:
+        if not log.exists():
+            raise
+        return Read(None, [_alone(log)], reading)
     except ValueError as error:
         refused = _refused(str(error))
     for words in (*_choice(refused.said), *_REPAIRS.get(refused.kind, ())):
@@ -105,7 +116,14 @@ def _repaired(log: Path, reading: ReaderOptions, refused: Finding, words: tuple[
         return None
     if found.recording is None:
         return None
-    repaired = Finding(refused.kind, refused.channel, refused.said, refused.remedy, words)
+    options = () if words[0] == HIDING else words
+    repaired = Finding(refused.kind, refused.channel, refused.said, refused.remedy, options)
+    mixed = any(f.kind == "conflict" for f in found.findings)
+    if refused.kind == CLOCK and (mixed or "sort=True" not in refused.said):
+        repaired = replace(
+            repaired, said=refused.said.partition(": cut the file")[0], options=(),
+            remedy="cut the file there, or mend the later times: sorting mixes moments of before and after",
+        )  # fmt: skip
     own = [f for f in found.findings if f.kind not in (refused.kind, "order") or f.options]
     return Read(found.recording, [repaired, *own], found.reading, True)
 
@@ -132,10 +150,24 @@ def as_finding(text: str, doubted: bool = False) -> Finding | None:
     """
     for pattern, kind in _SAID:
         if re.search(pattern, text):
-            return Finding(kind, _channel(text), text)
+            said = text.removeprefix(f"{kind}: ")
+            return Finding(kind, _channel(said), said, options=named(said))
     if not doubted or _SILENT.search(text):
         return None
     return Finding("reader", _channel(text), text)
+
+
+def _alone(log: Path) -> Finding:
+    """One file of what must be a set of them."""
+    remedy = "put it into a folder as imu.csv, beside it what aids it (dvl.csv, fix.csv, ...), and name the folder"
+    if (log.parent / "imu.csv").exists():
+        remedy = (
+            f"name its folder, {log.parent}, with what aids it beside it (dvl.csv, fix.csv, ...)"
+        )
+    said = (
+        f"{log.name} is one file, an IMU's, and this format is a folder of a file for each sensor"
+    )
+    return Finding("unreadable", "", said, remedy)
 
 
 def _refused(text: str) -> Finding:

@@ -72,7 +72,7 @@ def _frozen(channel: Channel, x: Array) -> Iterator[Finding]:
     """A run of equal values that is longer than the channel's other repeats let expect."""
     if channel.mended & {"held"} or len(x) < FEWEST:
         return
-    digit, same = resolution(x), np.diff(x) == 0.0
+    digit, same = channel.digit or resolution(x), np.diff(x) == 0.0
     if np.median(np.abs(np.diff(x))[~same]) < FINE * digit:
         return
     whole = x[:, None]
@@ -121,6 +121,7 @@ def _steps(channel: Channel) -> Iterator[Finding]:
         return
     t, x = channel.time[there], channel.values[there]
     left, scale = out_of_line(t, x)
+    scale = max(scale, channel.digit)
     big = (
         np.flatnonzero(np.abs(np.nan_to_num(left)) > FAR * scale)
         if scale > 0.0
@@ -178,7 +179,7 @@ def _resolution(channel: Channel, x: Array) -> Iterator[Finding]:
     """Digits so coarse that they, not the sensor, make the noise."""
     if len(x) < FEWEST or channel.kind == CYCLIC or channel.mended & {"held"}:
         return
-    digit = quantum(x)
+    digit = channel.digit or quantum(x)
     if digit > 0.0 and np.quantile(np.abs(np.diff(x, 2)), 0.9) < 2.5 * digit:
         yield Finding(
             "resolution", channel.name,

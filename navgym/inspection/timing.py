@@ -17,6 +17,8 @@ from navgym.inspection.series import ALARM
 Span = tuple[float, float]
 
 LONG = 10.0  # usual steps: shorter gaps are nobody's concern
+SILENT = 50.0  # usual steps without a value in a row
+SAME = 0.8  # share of a gap that a known one covers
 CHANGED = 1.5  # factor between the usual steps of two halves
 FEW = 30  # rows of a half
 PACED = 0.9  # share of spacings that a pace explains
@@ -38,8 +40,36 @@ def gaps(
     """
     usual = _usual(time)
     for before, after in long_steps(time):
-        if not any(before <= b and a <= after for b, a in known):
+        if not _is_known(before, after, known):
             yield _gap(before, after, usual, name, motion)
+
+
+def outage(time: Array, name: str, known: Sequence[Span] = ()) -> Iterator[Finding]:
+    """One long silence of a sensor whose rows stand there without a value.
+
+    Losses in bursts make several long ones, which the line of losses tells: only one alone counts.
+
+    Args:
+        time: (T,) s, of rows with a value, in order.
+        name: of the sensor.
+        known: spans that were told of before.
+    """
+    usual = _usual(time)
+    found = long_steps(time)
+    if len(found) != 1 or (np.diff(time) >= LONG * usual).sum() != 1:
+        return
+    ((before, after),) = found
+    if after - before >= SILENT * usual and not _is_known(before, after, known):
+        yield Finding(
+            "gap", name,
+            f"nothing received for {after - before:.6g} s after {before:.6g} s; the usual step is {usual:.4g} s",
+            "a filter predicts through it",
+        )  # fmt: skip
+
+
+def _is_known(before: float, after: float, known: Sequence[Span]) -> bool:
+    common = max((min(a, after) - max(b, before) for b, a in known), default=0.0)
+    return common >= SAME * (after - before)
 
 
 def _usual(time: Array) -> float:

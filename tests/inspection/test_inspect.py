@@ -138,7 +138,6 @@ def test_the_next_command_mends_what_an_option_can_mend(tmp_path, capsys):
 @pytest.mark.parametrize(
     "name",
     [
-        "the clock is set back",
         "north and east are exchanged",
         "velocities are three seconds late",
         "heading is in radians",

@@ -40,7 +40,10 @@ def page(found: Inspection) -> Page:
         Section("Noise that the log suggests", [], [*_noise(found)]),
     ]  # fmt: skip
     kept = [s for s in sections if s.text or s.items]
-    lede = [f"{found.problem or 'A log'}, format {found.format}.", f"Next: `{found.next}`"]
+    lede = [
+        f"{found.problem or 'A log'}, format {found.format}.",
+        f"Next: `{found.next}`" if found.next else "No command helps before the file is mended.",
+    ]
     basis = report.provenance(found.command or f"navgym inspect {found.log}")
     return Page(f"Inspection of {Path(found.log).name}", lede, kept, tiles, basis)
 
