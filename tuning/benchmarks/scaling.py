@@ -181,7 +181,8 @@ def studying(size: int, trials: int = TRIALS, dask: bool = False) -> Work:
         ):
             how, where = Search(trials, batch=BATCH), Path(folder) / "study.log"
             search(goal, how, journal=where, executor=executor, progress=False)
-            others = sum(peak(child.pid) for child in multiprocessing.active_children())
+            children = multiprocessing.active_children()
+            others = sum((peak(child.pid) for child in children if child.pid), 0.0)
 
     return Work(task, trials, lambda: peak() + others)
 
