@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from navgym.core.compile import inline, part
+from navgym.core.compile import inline, inner, part
 from navgym.core.sizes import model_rows, model_size, sample_size, state_size
 
 
@@ -100,13 +100,13 @@ def factorise(S, m):
     return ok
 
 
-@part
+@inner
 def cholesky(lane):
     """`factorise` the lane's S."""
     return factorise(lane.S, sample_size(lane))
 
 
-@part
+@inner
 def innovate(lane, model):
     """z = L⁻¹(y − H x⁻), W = L⁻¹ H P⁻, S = L with L Lᵀ = H P⁻ Hᵀ + R_used, over the used rows.
 
@@ -135,7 +135,7 @@ def innovate(lane, model):
     return whiten(lane)
 
 
-@part
+@inner
 def whiten(lane):
     """Overwrite S by its factor L, z by L⁻¹ z, W by L⁻¹ W; returns (ok, NIS, log |S|)."""
     n = state_size(lane)
@@ -161,7 +161,7 @@ def whiten(lane):
     return ok, nis, -2.0 * math.log(determinant)
 
 
-@part
+@inner
 def correct_state(lane):
     """x = x⁻ + K ν, from what `innovate` left in W and z: K ν = Wᵀz."""
     for i in range(state_size(lane)):
@@ -171,7 +171,7 @@ def correct_state(lane):
         lane.x[i] = s
 
 
-@part
+@inner
 def correct(lane):
     """x = x⁻ + K ν, P = (I − K H) P⁻.
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navgym.core.checks import Array
-from navgym.core.compile import inline, part
+from navgym.core.compile import inline, inner, part
 from navgym.core.health import NUMERICAL, POWER_MEMORY, RUNAWAY
 from navgym.core.linalg import correct_state, innovate, joseph, observe_vector
 from navgym.core.sizes import sample_size, state_size
@@ -103,7 +103,7 @@ def padded(table: Array, defaults: tuple[float, ...]) -> Array:
     return np.ascontiguousarray(np.concatenate([table, tail], axis=2))
 
 
-@part
+@inner
 def receive(lane, y, lost, i, k):
     """Copy sample k of series i into the lane; returns how many components were received."""
     count = 0
@@ -189,7 +189,7 @@ def score(lane, received, whitened):
         lane.diverged = NUMERICAL
 
 
-@part
+@inner
 def watch(lane, model, t, received):
     """Flag a lane that for a while foretells worse than who repeats or extends the last values.
 
@@ -287,7 +287,7 @@ def keep_prediction(lane):
             lane.P[i, j] = lane.P_prior[i, j]
 
 
-@part
+@inner
 def report(lane, i, k, states, covariances, innovations, nis, log_likelihoods):
     """Write the lane's answer for sample k of series i; outputs of length 0 are not wanted."""
     lane.k = k + 1

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navgym.core.checks import Array
-from navgym.core.compile import kernel, part
+from navgym.core.compile import inner, kernel, part
 from navgym.core.health import NUMERICAL, settle
 from navgym.core.linalg import (
     cholesky,
@@ -114,7 +114,7 @@ def follow_model(lane, model):
                 lane.R[j, i] *= d
 
 
-@part
+@inner
 def expected_noise(lane, model):
     """B = E[(y − Hx)(y − Hx)ᵀ] = (y − Hx)(y − Hx)ᵀ + H P Hᵀ over the used components (eq. 36)."""
     m = sample_size(lane)
@@ -186,7 +186,7 @@ def forget(lane, rho, silent):
     lane.count = max(rho**silent * lane.count, fresh, LEAST_COUNT)
 
 
-@part
+@inner
 def sweep(lane, model, tau_weight, count_weight, complete):
     """One round over q(P), q(R), q(x) (QIVBF eq. 34-41, corrected); returns `innovate`'s ok.
 
