@@ -31,7 +31,7 @@ def page(
         load: of the machine, by others.
         folder: where the pictures are, seen from the page.
     """
-    busy = " Others were at work on these cores: where a curve jumps, it may be theirs."
+    busy = " Something else had been at work on these cores: where a curve jumps, it may be that."
     lines = [
         "# How fast: as work grows",
         "",
