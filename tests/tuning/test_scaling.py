@@ -108,7 +108,7 @@ def test_a_size_without_figures_is_a_row_with_its_reason():
 @pytest.mark.parametrize("load", [0.1, 1.7])
 def test_the_page_says_whether_others_were_at_work(load):
     text = growth_page.page([(GROWTH, [(LINE, points(1.0))])], "it", "here", load, "images")
-    assert ("Others were at work" in text) == (load > 0.5)
+    assert ("Something else had been at work" in text) == (load > 0.5)
 
 
 @pytest.mark.parametrize(
